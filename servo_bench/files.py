@@ -1,0 +1,70 @@
+"""Finding and reading the TOML files that people write.
+
+A name is looked for where it says (relative to the working folder, or to the file that mentions
+it) and then among the rigs and experiments that ship with the bench, so that
+`servo-bench run experiments/paper.toml` works in an empty folder.
+"""
+
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+
+import sim_rig
+from servo_bench.errors import ConfigError
+from servo_bench.units import to_si
+
+SHIPPED = (Path(__file__).parent / "library", Path(sim_rig.__file__).parent)
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class Value(BaseModel):
+    """A frozen value that is written in TOML: unknown keys refused, readers' units accepted."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _accept_readers_units(cls, data: Any) -> Any:
+        return to_si(data) if isinstance(data, dict) else data
+
+
+def find(name: str | Path, beside: Path | None = None) -> Path:
+    """The file called `name`, or ConfigError naming every place that was looked at."""
+    places = [
+        Path(name),
+        *([beside / name] if beside else []),
+        *(folder / name for folder in SHIPPED),
+    ]
+    for place in places:
+        if place.is_file():
+            return place.resolve()
+    looked = ", ".join(str(place.absolute()) for place in dict.fromkeys(places))
+    raise ConfigError(
+        f"there is no file {name}: looked for {looked}. Give the path of a TOML file."
+    )
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The table in a TOML file; ConfigError with line and column where it is none."""
+    try:
+        with path.open("rb") as file:
+            return tomllib.load(file)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} is not TOML: {error}. Mend that line.") from error
+
+
+def validated(model: type[Model], table: dict[str, Any], source: str) -> Model:
+    """`table` as a `model`; ConfigError with one line for each key that does not fit."""
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        lines = [
+            f"  {'.'.join(str(part) for part in item['loc']) or '(file)'}: {item['msg']}"
+            + (f", got {item['input']!r}" if item["type"] != "missing" else "")
+            for item in error.errors(include_url=False)
+        ]
+        raise ConfigError(
+            f"{source} does not describe a {model.__name__}:\n" + "\n".join(lines)
+        ) from error

@@ -1,0 +1,38 @@
+"""SI inside; degrees and rpm only where people read and write.
+
+A configuration key may end in a reader's unit (`backlash_gap_deg`, `amplitude_rpm`); `to_si`
+renames it to the field's own (`backlash_gap_rad`, `amplitude_rad_s`) and scales the value.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+READER_UNITS: dict[str, tuple[str, float]] = {
+    "_deg_s": ("_rad_s", math.pi / 180.0),
+    "_deg": ("_rad", math.pi / 180.0),
+    "_rpm": ("_rad_s", 2.0 * math.pi / 60.0),
+    "_mnm": ("_nm", 1e-3),
+    "_ms": ("_s", 1e-3),
+}
+
+
+def to_si(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Rename and scale every key of `table` that ends in a reader's unit.
+
+    Raises ValueError when a quantity is given twice, once in each unit.
+    """
+    converted: dict[str, Any] = {}
+    for key, value in table.items():
+        name, number = _si(key, value)
+        if name in converted or (name != key and name in table):
+            raise ValueError(f"{name} is given twice, once as {key}: give it once")
+        converted[name] = number
+    return converted
+
+
+def _si(key: str, value: Any) -> tuple[str, Any]:
+    for suffix, (si_suffix, factor) in READER_UNITS.items():
+        if key.endswith(suffix) and isinstance(value, int | float) and not isinstance(value, bool):
+            return key.removesuffix(suffix) + si_suffix, value * factor
+    return key, value

@@ -1,0 +1,130 @@
+"""The bus as the set-up sees it: opened with errors in words, one thread, no notifier.
+
+Whoever waits reads the bus himself and hands every frame to canopen's dispatcher, so no thread
+ever reads the bus but the one that runs the axis.
+"""
+
+import errno
+import socket
+from collections.abc import Callable
+from typing import Any
+
+import can
+import canopen
+from can.interfaces import BACKENDS
+
+from drivers.canopen.settings import BusOptions
+from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.errors import SettingsError, WireError
+
+_GREETING = b"< hi >"
+_PROBE_TIMEOUT_S = 2.0
+_HELP = {
+    errno.EAFNOSUPPORT: "this kernel has no CAN. Load the modules can and can_raw, or use an "
+    "interface that needs none (slcan, socketcand)",
+    errno.ENODEV: "there is no such CAN interface. See `ip link`; create it or correct bus.channel",
+    errno.ENETDOWN: "the CAN interface is down. `ip link set <channel> up type can bitrate ...`",
+    errno.ENOENT: "there is no such device. Plug the adapter in, or correct bus.channel",
+    errno.EACCES: "access denied. Join the group that owns the device (often dialout)",
+}
+
+
+def open_bus(options: BusOptions) -> can.BusABC:
+    """Open the bus that the options describe; only they count, no configuration file.
+
+    Raises SettingsError for an interface or option that python-can does not know, WireError
+    where it knows but nothing is there.
+    """
+    keywords: dict[str, Any] = dict(options)
+    interface = options.get("interface")
+    where = ", ".join(f"{key} = {value}" for key, value in options.items())
+    if interface not in BACKENDS:
+        raise SettingsError(
+            f"bus.interface is {interface!r}, which python-can does not know. Choose one of "
+            f"{', '.join(sorted(BACKENDS))}."
+        )
+    if interface == "socketcand":
+        _probe_socketcand(str(options.get("host", "")), options.get("port"))
+    try:
+        return can.Bus(ignore_config=True, **keywords)
+    except (can.CanInterfaceNotImplementedError, ImportError, NameError) as error:
+        # NameError: python-can's kvaser without its library
+        raise SettingsError(
+            f"cannot open the bus ({where}): {error}. Install what this interface needs."
+        ) from error
+    except (TypeError, ValueError, KeyError) as error:
+        raise SettingsError(
+            f"cannot open the bus ({where}): {error}. Correct the options of [bus]."
+        ) from error
+    except can.CanError as error:
+        raise WireError(
+            f"cannot open the bus ({where}): {error}. Check adapter and channel."
+        ) from error
+    except OSError as error:
+        reason = _HELP.get(error.errno or 0, f"{error}. Check adapter and channel")
+        raise WireError(f"cannot open the bus ({where}): {reason}.") from error
+
+
+def _probe_socketcand(host: str, port: object) -> None:
+    """See that a server listens and greets, at once: the client would spin for ten seconds."""
+    if not host or not isinstance(port, int):
+        raise SettingsError(
+            f"bus.host = {host!r}, bus.port = {port!r}: a socketcand bus needs the name of its "
+            'server and its port number, e.g. host = "127.0.0.1", port = 29536.'
+        )
+    where = f"{host}:{port}"
+    try:
+        with socket.create_connection((host, port), timeout=_PROBE_TIMEOUT_S) as connection:
+            greeting = connection.recv(len(_GREETING))
+    except (OSError, OverflowError) as error:
+        raise WireError(
+            f"no socketcand server at {where}: {error}. Start the software rig or the server "
+            "there, or correct bus.host and bus.port."
+        ) from error
+    if greeting != _GREETING:
+        raise WireError(
+            f"what listens at {where} is no socketcand server: it said {greeting!r} instead of "
+            f"{_GREETING!r}. Correct bus.host and bus.port."
+        )
+
+
+class Line:
+    """An open bus, canopen's dispatcher on it, and a clock."""
+
+    def __init__(self, bus: can.BusABC, clock: Clock = SYSTEM_CLOCK) -> None:
+        self.bus = bus
+        self.clock = clock
+        self.network = canopen.Network(bus)
+
+    @property
+    def name(self) -> str:
+        """What the bus calls itself."""
+        return str(self.bus.channel_info)
+
+    def send(self, cob_id: int, data: bytes) -> None:
+        """Send a data frame; WireError where the bus does not take it."""
+        try:
+            self.network.send_message(cob_id, data)
+        except (can.CanError, OSError) as error:
+            raise self.broken(error) from error
+
+    def receive_until(self, deadline_ns: int, done: Callable[[], bool]) -> bool:
+        """Dispatch frames until `done` or the deadline; True if done. WireError if the bus dies."""
+        while not done():
+            remaining_ns = deadline_ns - self.clock.now_ns()
+            if remaining_ns <= 0:
+                return False
+            try:
+                frame = self.bus.recv(remaining_ns * 1e-9)
+            except (can.CanError, OSError) as error:
+                raise self.broken(error) from error
+            if frame is not None and not (frame.is_error_frame or frame.is_remote_frame):
+                self.network.notify(frame.arbitration_id, frame.data, frame.timestamp)
+        return True
+
+    def broken(self, error: Exception) -> WireError:
+        """The error for a bus that failed under way."""
+        reason = " ".join(str(error).split("Traceback")[0].split())
+        return WireError(
+            f"the bus ({self.name}) is gone: {reason}. Check server, adapter, and cable."
+        )

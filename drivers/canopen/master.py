@@ -1,0 +1,279 @@
+"""A CiA 402 drive and a CiA 406 encoder on CANopen as one `drivers.axis.Axis`.
+
+    enter:  open bus → set up by SDO → operational → enable by PDO, SYNC running, velocity 0
+    leave:  quick stop → disable voltage → pre-operational → close bus, whatever was raised
+
+One thread does everything. This master's heartbeat goes out with `command`, so a loop that hangs
+falls silent and the drive stops by itself (0x1016, 0x6007 = quick stop): command at least every
+`heartbeat_timeout_s`, and on drives that watch SYNC (CSV) without a pause after entering.
+"""
+
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Self
+
+from drivers.axis import Sample, WireEvent
+from drivers.canopen import cia402
+from drivers.canopen.cia402 import State
+from drivers.canopen.cycle import Cycle
+from drivers.canopen.line import Line, open_bus
+from drivers.canopen.node import NMT_PRE_OPERATIONAL, Node
+from drivers.canopen.settings import CanopenSettings
+from drivers.canopen.setup import (
+    DriveLink,
+    open_drive,
+    open_encoder,
+    set_up_drive,
+    set_up_encoder,
+)
+from drivers.canopen.watch import Watch
+from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.errors import DriveError, DriverError, WireError
+
+_FAULT_RESET_S = 0.5
+_OFF = frozenset({State.SWITCH_ON_DISABLED, State.FAULT, State.NOT_READY})
+
+
+class CanopenAxis:
+    """One axis on CANopen; see `drivers.axis.Axis`.
+
+    Entering raises SettingsError, WireError, or DriveError and leaves nothing enabled. Leaving
+    raises WireError where the drive did not confirm its stop and nothing else is being raised;
+    otherwise that is added to the other exception as a note.
+    """
+
+    def __init__(self, settings: CanopenSettings, clock: Clock = SYSTEM_CLOCK) -> None:
+        self._settings = settings
+        self._clock = clock
+        self._period_ns = round(settings.period_s * 1e9)
+        self._reset()
+
+    def _reset(self) -> None:
+        drive = self._settings.drive
+        self._watch = Watch(drive.heartbeat_timeout_s, csv=drive.mode == "csv")
+        self._line: Line | None = None
+        self._nodes: list[Node] = []
+        self._drive: DriveLink | None = None
+        self._cycle: Cycle | None = None
+        self._own_slot = -(1 << 62)  # ascending and below 0: asked by this master for itself
+
+    def __enter__(self) -> Self:
+        self._reset()
+        try:
+            cycle = self._set_up()
+            self._enable(cycle)
+        except BaseException as error:
+            self._leave(error)
+            raise
+        cycle.guarded = True
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._leave(error)
+
+    def command(self, velocity_rad_s: float, slot: int) -> int:
+        """Send the set-point of this slot, then SYNC; the time just before the SYNC, in ns.
+
+        Raises WireError when the bus fails, SettingsError for a velocity beyond 0x60FF.
+        """
+        return self._running().ask(velocity_rad_s, slot)
+
+    def samples(self, until_ns: int) -> Sequence[Sample]:
+        """Samples settled since the last call; see `drivers.axis.Axis`. WireError as `command`."""
+        cycle = self._running()
+        cycle.receive(until_ns)
+        return cycle.samples()
+
+    def events(self) -> Sequence[WireEvent]:
+        """What else happened on the wire, from set-up on, since the last call."""
+        return self._watch.drain()
+
+    def _running(self) -> Cycle:
+        if self._cycle is None:
+            raise WireError("this axis has not been entered. Use it inside its `with` block.")
+        return self._cycle
+
+    def _set_up(self) -> Cycle:
+        settings, watch = self._settings, self._watch
+        self._line = line = Line(open_bus(settings.bus), self._clock)
+
+        def note(kind: str, text: str) -> None:
+            watch.tell(self._clock.now_ns(), kind, text)
+
+        drive_node = open_drive(line, settings.drive)
+        encoder_node = None
+        if settings.encoder:
+            encoder_node = open_encoder(line, settings.encoder, settings.drive.sdo_timeout_s)
+        self._nodes.append(drive_node)
+        self._drive = set_up_drive(drive_node, settings, note)
+        encoder = None
+        if encoder_node and settings.encoder:
+            self._nodes.append(encoder_node)
+            encoder = set_up_encoder(encoder_node, settings.encoder, settings.drive, note)
+        if cia402.decode_state(drive_node.read(0x6041)) == State.FAULT:
+            code = self._error_code()
+            note("fault reset", f"{drive_node.name} is in fault{code}: it gets one fault reset.")
+        self._cycle = Cycle(line, self._drive, encoder, settings, watch)
+        return self._cycle
+
+    def _enable(self, cycle: Cycle) -> None:
+        """Lead the drive to operation enabled at velocity 0, one controlword per cycle."""
+        drive = self._settings.drive
+        start_ns = tick_ns = self._clock.now_ns()
+        reset_ns: int | None = None
+        cleared = False
+        while tick_ns - start_ns < drive.enable_timeout_s * 1e9:
+            tick_ns = self._tick(cycle, tick_ns)
+            if cycle.statusword is None:
+                continue
+            if cycle.statusword & self._watch.statusword_mask == self._watch.statusword_value:
+                return
+            state = cia402.decode_state(cycle.statusword)
+            cycle.controlword = cia402.controlword_towards_enabled(state)
+            if state == State.FAULT:  # bit 7 has been 0 until now: this is its rising edge
+                cycle.controlword = cia402.FAULT_RESET
+                reset_ns = tick_ns if reset_ns is None else reset_ns
+                if cleared or tick_ns - reset_ns > _FAULT_RESET_S * 1e9:
+                    raise DriveError(self._fault_text())
+            else:
+                cleared = reset_ns is not None
+        raise self._not_enabled(cycle)
+
+    def _tick(self, cycle: Cycle, tick_ns: int) -> int:
+        """One cycle of this master's own at velocity 0; returns the next cycle's time."""
+        self._clock.sleep_until(tick_ns)
+        self._own_slot += 1
+        cycle.ask(0.0, self._own_slot)
+        tick_ns = max(tick_ns + self._period_ns, self._clock.now_ns())
+        cycle.receive(tick_ns)
+        cycle.samples()
+        return tick_ns
+
+    def _fault_text(self) -> str:
+        return (
+            f"{self._drive_name} is in fault and a fault reset did not clear it"
+            f"{self._error_code(with_remedy=True)}, then run again."
+        )
+
+    def _error_code(self, *, with_remedy: bool = False) -> str:
+        """The drive's error code as a piece of a sentence; empty where it cannot be read."""
+        node = self._nodes[0]
+        if not node.has(0x603F):
+            return ": remove its cause (the drive's display tells more)" if with_remedy else ""
+        code = node.read(0x603F)
+        text = f": error code (0x603F) {cia402.describe_error_code(code)}"
+        return f"{text}. To do: {cia402.remedy(code)}" if with_remedy else text
+
+    def _not_enabled(self, cycle: Cycle) -> DriverError:
+        timeout = f"within {self._settings.drive.enable_timeout_s:g} s"
+        if cycle.statusword is None:
+            return WireError(
+                f"{self._drive_name} did not answer SYNC {timeout}: no statusword came by PDO. "
+                "Power-cycle the drive; see whether it produces SYNC itself."
+            )
+        seen = cia402.describe_statusword(cycle.statusword)
+        if cia402.decode_state(cycle.statusword) == State.OPERATION_ENABLED:
+            return DriveError(
+                f"{self._drive_name} is enabled but does not follow its velocity command {timeout} "
+                f"(statusword 0x{cycle.statusword:04X}, bit 12 is 0). Check mode CSV, the SYNC "
+                "period, and the drive's limits."
+            )
+        advice = "See the drive's display and its enable input."
+        if not cycle.statusword & cia402.VOLTAGE_ENABLED:
+            advice = "Switch on the DC link."
+        return DriveError(
+            f"{self._drive_name} did not reach operation enabled {timeout}: last state {seen}. "
+            f"{advice} Or raise drive.enable_timeout_s."
+        )
+
+    @property
+    def _drive_name(self) -> str:
+        return f"drive {self._settings.drive.node.node_id}"
+
+    def _leave(self, active: BaseException | None) -> None:
+        """Stop, power off, close. Every step is tried, whatever the one before it did."""
+        line, cycle, drive = self._line, self._cycle, self._drive
+        self._line = self._cycle = None
+        if line is None:
+            return
+        problem: str | None = None
+        stopped = cycle is None
+        try:
+            if cycle is not None and drive is not None:
+                problem = self._stop(cycle, drive)
+                stopped = problem is None
+        finally:
+            try:
+                self._release(cycle, drive, stopped=stopped)
+            finally:
+                line.bus.shutdown()
+        if problem is not None:
+            if active is None:
+                raise WireError(problem)
+            active.add_note(problem)
+
+    def _stop(self, cycle: Cycle, drive: DriveLink) -> str | None:
+        """Bring the drive to rest and power it off; what is wrong, or None when confirmed."""
+        cycle.guarded = False
+        try:
+            if self._stop_by_pdo(cycle) or self._stop_by_sdo(drive.node):
+                return None
+            reason = ""
+        except DriverError as error:
+            reason = f" ({error})"
+        last = "none" if cycle.statusword is None else cia402.describe_statusword(cycle.statusword)
+        own_stop = (
+            f"it watches this master's heartbeat (0x1016) and quick-stops by itself "
+            f"{self._settings.drive.heartbeat_timeout_s:g} s after the last one (0x6007)"
+            if drive.watches_master
+            else "it does not watch this master's heartbeat (no 0x1016) and may still turn"
+        )
+        return (
+            f"{self._drive_name} did not confirm its stop; last state: {last}{reason}. If it is "
+            f"still powered, {own_stop}. Use the emergency stop if the shaft turns."
+        )
+
+    def _stop_by_pdo(self, cycle: Cycle) -> bool:
+        """Quick stop, then power off, until the statusword says so. False where none comes."""
+        begun_ns = tick_ns = self._clock.now_ns()
+        quick_ns = begun_ns + round(self._settings.drive.stop_timeout_s * 1e9)
+        silence_ns = round(self._settings.answer_timeout_s * 1e9)
+        cycle.controlword = cia402.QUICK_STOP
+        while tick_ns < quick_ns + silence_ns and not self._watch.lost_node:
+            tick_ns = self._tick(cycle, tick_ns)
+            if tick_ns - max(cycle.statusword_ns, begun_ns) > silence_ns:
+                return False
+            if cycle.statusword is not None and cycle.statusword_ns > begun_ns:
+                state = cia402.decode_state(cycle.statusword)
+                if state in _OFF:
+                    return True
+                cycle.controlword = cia402.controlword_towards_disabled(state)
+            if tick_ns >= quick_ns:
+                cycle.controlword = cia402.DISABLE_VOLTAGE
+        return False
+
+    def _stop_by_sdo(self, node: Node) -> bool:
+        """Power off a drive that takes no PDO (restarted, or no longer operational)."""
+        node.write(0x6040, 0, cia402.DISABLE_VOLTAGE)
+        return cia402.decode_state(node.read(0x6041)) not in cia402.POWERED
+
+    def _release(self, cycle: Cycle | None, drive: DriveLink | None, *, stopped: bool) -> None:
+        """Last words on the bus, as far as it still takes them."""
+        try:
+            if cycle is not None and not stopped:
+                cycle.controlword = cia402.DISABLE_VOLTAGE
+                cycle.ask(0.0, self._own_slot + 1)
+            elif drive is not None and drive.watches_master:
+                drive.node.write(0x1016, 1, 0)
+        except DriverError:
+            pass  # a bus or node that is gone takes nothing; the stop has been judged already
+        for node in self._nodes:
+            try:
+                node.nmt(NMT_PRE_OPERATIONAL)
+            except DriverError:
+                return

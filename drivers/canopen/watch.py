@@ -1,0 +1,145 @@
+"""Watching the nodes while the axis runs: emergencies, reboots, heartbeats, statusword, strangers.
+
+Called with every frame that is no answer, and once per period. Keeps what happened until `drain`.
+An event of one kind and node is told once per run; duplicates and strangers are counted.
+"""
+
+import struct
+
+from drivers.axis import WireEvent
+from drivers.canopen import cia402
+from drivers.canopen.node import OPERATIONAL
+
+_EMERGENCY = struct.Struct("<HB5s")
+_BOOT_UP = 0x00
+_TOLD_STRANGERS = 8
+_ENABLED_MASK, _ENABLED = 0x6F, 0x27
+
+
+class Watch:
+    """What happens beside the samples. `statusword_mask`/`statusword_value` describe a good one."""
+
+    def __init__(self, heartbeat_timeout_s: float, *, csv: bool) -> None:
+        follows = cia402.FOLLOWS_COMMAND if csv else 0
+        self.statusword_mask = _ENABLED_MASK | follows
+        self.statusword_value = _ENABLED | follows
+        self.lost_node = False
+        self.strangers = 0
+        self.duplicates = 0
+        self._timeout_ns = round(heartbeat_timeout_s * 1e9)
+        self._last_heartbeat_ns: dict[str, int] = {}
+        self._events: list[WireEvent] = []
+        self._told: set[tuple[str, str]] = set()
+
+    def expect_heartbeat(self, name: str, now_ns: int) -> None:
+        """From now on this node must be heard within the timeout."""
+        self._last_heartbeat_ns[name] = now_ns
+
+    def tell(
+        self, now_ns: int, kind: str, text: str, *, fatal: bool = False, key: str | None = None
+    ) -> None:
+        """Add an event; with a `key`, only the first of its kind and key."""
+        if key is not None:
+            if (kind, key) in self._told:
+                return
+            self._told.add((kind, key))
+        self._events.append(WireEvent(now_ns, kind, text, fatal))
+
+    def drain(self) -> list[WireEvent]:
+        """Everything since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def on_heartbeat(self, name: str, data: bytearray, now_ns: int) -> None:
+        """A heartbeat or boot-up frame of a node."""
+        self._last_heartbeat_ns[name] = now_ns
+        state = data[0] & 0x7F if data else OPERATIONAL
+        if state == OPERATIONAL:
+            return
+        self.lost_node = True
+        if state == _BOOT_UP:
+            text = (
+                f"{name} has restarted by itself (boot-up frame): it has forgotten its set-up and "
+                "its power stage is off. Check its supply, then run again."
+            )
+            self.tell(now_ns, "node restarted", text, fatal=True, key=name)
+        else:
+            text = (
+                f"{name} has left NMT operational (state 0x{state:02X}): it no longer answers "
+                "SYNC. See who else is master on this bus."
+            )
+            self.tell(now_ns, "node not operational", text, fatal=True, key=name)
+
+    def on_emergency(self, name: str, data: bytearray, now_ns: int) -> None:
+        """An emergency frame of a node; code 0x00xx tells that an error has gone."""
+        if len(data) != _EMERGENCY.size:
+            self.tell(now_ns, "malformed emergency", f"{name} sent {data.hex(' ')}.", fatal=True)
+            return
+        code, register, own = _EMERGENCY.unpack(data)
+        if code >> 8 == 0:
+            self.tell(now_ns, "emergency over", f"{name} reports that its error has gone.")
+            return
+        text = (
+            f"{name} sent the emergency {cia402.describe_error_code(code)}, error register "
+            f"0x{register:02X}, manufacturer's bytes {own.hex(' ')}: {cia402.remedy(code)}."
+        )
+        self.tell(now_ns, "emergency", text, fatal=True)
+
+    def on_statusword(self, name: str, statusword: int, now_ns: int) -> None:
+        """A statusword that is not a good one, while the drive should be enabled."""
+        if statusword & _ENABLED_MASK != _ENABLED:
+            text = f"{name} has left operation enabled: {cia402.describe_statusword(statusword)}."
+            self.tell(now_ns, "drive not enabled", text, fatal=True, key=name)
+        else:
+            text = (
+                f"{name} does not follow the velocity command (statusword 0x{statusword:04X}, bit "
+                "12 is 0). Check the drive's mode (0x6061), limits, and the SYNC period."
+            )
+            self.tell(now_ns, "velocity not followed", text, fatal=True, key=name)
+
+    def on_duplicate(self, name: str, now_ns: int) -> None:
+        """An answer that nobody asked for."""
+        self.duplicates += 1
+        text = f"{name} sent an answer that no SYNC had asked for; it was dropped."
+        self.tell(now_ns, "duplicate answer", text)
+
+    def on_lost(self, name: str, slot: int, now_ns: int) -> None:
+        """An answer that never came."""
+        self.tell(now_ns, "answer lost", f"{name} did not answer the SYNC of slot {slot}.")
+
+    def on_silence(self, name: str, timeout_s: float, now_ns: int) -> None:
+        """No answer at all, for longer than the answer timeout."""
+        text = f"{name} has not answered SYNC for {timeout_s:g} s. Check its cable and its supply."
+        self.tell(now_ns, "node silent", text, fatal=True, key=name)
+
+    def on_malformed(self, name: str, cob_id: int, length: int, wanted: int, now_ns: int) -> None:
+        """A PDO of the wrong length: somebody has changed the mapping."""
+        text = (
+            f"{name} sent PDO 0x{cob_id:03X} with {length} bytes, its mapping has {wanted}. See "
+            "who else configures this node."
+        )
+        self.tell(now_ns, "malformed answer", text, fatal=True, key=name)
+
+    def on_stranger(self, cob_id: int, now_ns: int) -> None:
+        """A frame that belongs to no node of this axis."""
+        self.strangers += 1
+        if self.strangers <= _TOLD_STRANGERS:
+            text = f"a frame with COB-ID 0x{cob_id:03X} belongs to no node of this axis."
+            self.tell(now_ns, "foreign frame", text, key=str(cob_id))
+
+    def overdue(self, now_ns: int) -> bool:
+        """Whether some heartbeat seems late; before judging, take what has arrived."""
+        for last_ns in self._last_heartbeat_ns.values():
+            if now_ns - last_ns > self._timeout_ns:
+                return True
+        return False
+
+    def judge_heartbeats(self, now_ns: int) -> None:
+        """Tell which heartbeats are late; to be called when nothing unread has arrived."""
+        for name, last_ns in self._last_heartbeat_ns.items():
+            if now_ns - last_ns > self._timeout_ns:
+                text = (
+                    f"{name} has sent no heartbeat for {(now_ns - last_ns) * 1e-9:.2f} s, allowed "
+                    f"{self._timeout_ns * 1e-9:g} s. Check its cable and its supply."
+                )
+                self.tell(now_ns, "heartbeat missing", text, fatal=True, key=name)

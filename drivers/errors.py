@@ -1,0 +1,25 @@
+"""What can go wrong on a wire.
+
+    DriverError
+    ├── SettingsError   the configuration asks for something this wire or drive cannot do
+    ├── WireError       the bus, the cable, or a node on it does not answer
+    └── DriveError      the drive answered, and refused or faulted
+
+A message says what happened, what was seen, what is allowed, and what to do next.
+"""
+
+
+class DriverError(Exception):
+    """Anything the drivers raise on purpose."""
+
+
+class SettingsError(DriverError):
+    """The configuration asks for something this wire or drive cannot do."""
+
+
+class WireError(DriverError):
+    """The bus, the cable, or a node on it does not answer."""
+
+
+class DriveError(DriverError):
+    """The drive answered, and refused or faulted."""

@@ -1,0 +1,1 @@
+"""Volterra kernels of an M-sequence: pure functions from arrays, or a recording, to values."""

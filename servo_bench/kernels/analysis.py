@@ -1,0 +1,264 @@
+"""From a recording to its Volterra kernels and what they predict on commands they never saw."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_bench.errors import RecordingError
+from servo_bench.excitation.experiment import Phase
+from servo_bench.kernels.comparison import Comparison, compare
+from servo_bench.kernels.identification import (
+    Identification,
+    command_delay,
+    locate,
+    response_periods,
+)
+from servo_bench.kernels.quality import RunQuality, run_quality
+from servo_bench.kernels.response import Response, Timebase, response_of
+from servo_bench.kernels.shifts import collision_free_memory
+from servo_bench.kernels.volterra import Kernels, extract
+from servo_bench.recording.recording import Recording
+
+Array = NDArray[np.float64]
+
+ENOUGH_STANDSTILL = 16
+"""Increments from which the noise at standstill is told."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Validation:
+    """The prediction of the validation phase, from commands alone.
+
+    `velocity` compares rad/s over the n slots from `first_slot` on. The angles, rad, shape
+    (n + 1,), are at `time_s`; the predicted ones integrate the predicted velocities from the
+    measured start value, and nothing else is fitted: what the kernels' memory cuts off is an
+    error of the steady gain, which adds up in the angle.
+    """
+
+    first_slot: int
+    velocity: Comparison
+    time_s: Array
+    angle_rad: Array
+    angle_order1_rad: Array
+    angle_order3_rad: Array
+
+    @property
+    def angle_error_order1_rms_rad(self) -> float:
+        """Root mean square of the angle predicted by the linear kernel, less the measured."""
+        return _rms(self.angle_order1_rad - self.angle_rad)
+
+    @property
+    def angle_error_order3_rms_rad(self) -> float:
+        """Root mean square of the angle predicted up to order 3, less the measured."""
+        return _rms(self.angle_order3_rad - self.angle_rad)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Analysis:
+    """Kernels of a recording, and how well they explain it.
+
+    kernels                of the load's velocity, rad/s per chip; lag 0 is the command that was
+                           given `delay_periods` slots before
+    delay_periods          whole periods between a command and the first answer to it, removed
+    timebase               "device": increments are over the device's own time; else "nominal"
+    identification         the (mean) identification period, and the same kernels' prediction
+    validation             None where no validation was recorded
+    noise_rad_s            standard deviation of the increments at standstill, or of the
+                           encoder's steps where those are larger; NaN where neither is known
+    noise_ceiling_percent  100 (1 - noise variance / variance of the response): no prediction can
+                           account for more; NaN where the noise is not known
+    energy_percent         share of the response's variance in the kernels of orders 1, 2, 3
+    quality                of the run itself
+    flags                  sentences about what the reader must know; empty for a flawless run
+    """
+
+    kernels: Kernels
+    delay_periods: int
+    timebase: Timebase
+    identification: Comparison
+    validation: Validation | None
+    noise_rad_s: float
+    noise_ceiling_percent: float
+    energy_percent: tuple[float, float, float]
+    quality: RunQuality
+    flags: tuple[str, ...]
+
+    @property
+    def odd_percent(self) -> float:
+        """Share of the response's variance in the odd orders, which a symmetric rig has alone."""
+        return self.energy_percent[0] + self.energy_percent[2]
+
+    @property
+    def even_percent(self) -> float:
+        """Share of the response's variance in order 2: what differs between the directions."""
+        return self.energy_percent[1]
+
+    def numbers(self) -> dict[str, Any]:
+        """Everything that is one number, ready for JSON; None for what is not known."""
+        kernels, validation = self.kernels, self.validation
+        numbers: dict[str, Any] = {
+            "polynomial": kernels.polynomial,
+            "amplitude_rad_s": kernels.amplitude,
+            "period_s": kernels.period_s,
+            "memory": kernels.memory,
+            "collision_free_memory": collision_free_memory(kernels.polynomial, kernels.order),
+            "periods": kernels.periods,
+            "delay_periods": self.delay_periods,
+            "timebase": self.timebase,
+            "vaf_same_order1_percent": self.identification.vaf_order1_percent,
+            "vaf_same_order3_percent": self.identification.vaf_order3_percent,
+            "vaf_fresh_order1_percent": validation and validation.velocity.vaf_order1_percent,
+            "vaf_fresh_order3_percent": validation and validation.velocity.vaf_order3_percent,
+            "angle_error_order1_rms_rad": validation and validation.angle_error_order1_rms_rad,
+            "angle_error_order3_rms_rad": validation and validation.angle_error_order3_rms_rad,
+            "noise_rad_s": self.noise_rad_s,
+            "noise_ceiling_percent": self.noise_ceiling_percent,
+            "energy_order1_percent": self.energy_percent[0],
+            "energy_order2_percent": self.energy_percent[1],
+            "energy_order3_percent": self.energy_percent[2],
+            "odd_percent": self.odd_percent,
+            "even_percent": self.even_percent,
+            "constant_rad_s": kernels.constant,
+            "coefficient_scatter_rad_s": kernels.scatter,
+            "coefficient_standard_error_rad_s": kernels.standard_error,
+        }
+        known = {name: _known(value) for name, value in numbers.items()}
+        return {**known, "run": self.quality.numbers(), "flags": list(self.flags)}
+
+
+def analyse(
+    recording: Recording, *, memory: int | None = None, polynomial: str | None = None
+) -> Analysis:
+    """Kernels up to order 3 from the identification periods, judged on the validation.
+
+    Memory (samples) and polynomial (octal) are the experiment's where they are not given; without
+    an experiment the memory is the largest that the polynomial can resolve. Raises RecordingError
+    where channels, angles, or the end of the period are missing, FitError where the angle does
+    not answer the sequence or the memory is too long, ConfigError for a polynomial that is none.
+    """
+    response = response_of(recording)
+    octal = _polynomial_of(recording) if polynomial is None else polynomial
+    found = locate(response, octal)
+    samples = _memory_of(recording, octal) if memory is None else memory
+    delay = command_delay(response, found, samples)
+    periods = response_periods(response, found, samples, delay)
+    kernels = extract(periods, octal, found.amplitude_rad_s, samples, period_s=recording.period_s)
+    chips = response.command_rad_s[found.start : found.start + found.chips]
+    chips = chips / found.amplitude_rad_s
+    variance = float(periods.var())
+    noise = _noise_rad_s(recording, response)
+    shares = 100.0 * kernels.energies[1:] / variance
+    validation = _validation(kernels, response, delay)
+    return Analysis(
+        kernels=kernels,
+        delay_periods=delay,
+        timebase=response.timebase,
+        identification=compare(kernels, periods.mean(axis=0), chips, chips),
+        validation=validation,
+        noise_rad_s=noise,
+        noise_ceiling_percent=100.0 * (1.0 - noise**2 / variance),
+        energy_percent=(float(shares[0]), float(shares[1]), float(shares[2])),
+        quality=run_quality(recording),
+        flags=tuple(_flags(recording, response, found, kernels, validation)),
+    )
+
+
+def _polynomial_of(recording: Recording) -> str:
+    if recording.experiment is None:
+        raise RecordingError(
+            "the recording does not say which M-sequence was played. Name its polynomial, in "
+            "octal with the highest power first (the paper's experiment: 40473)."
+        )
+    return recording.experiment.identification.polynomial
+
+
+def _memory_of(recording: Recording, polynomial: str) -> int:
+    if recording.experiment is None:
+        return collision_free_memory(polynomial, 3)
+    return recording.experiment.memory
+
+
+def _validation(kernels: Kernels, response: Response, delay: int) -> Validation | None:
+    """Predict from `delay` after the phase begins: only then its own commands arrive."""
+    slots = response.slots_of(Phase.VALIDATION)
+    first = slots.start + delay
+    last = min(slots.stop, response.velocity_rad_s.size)
+    if slots.stop == 0 or last - first < kernels.memory:
+        return None
+    inputs = response.command_rad_s / kernels.amplitude
+    velocity = compare(
+        kernels,
+        response.velocity_rad_s[first:last],
+        inputs[first - delay : last - delay],
+        inputs[: first - delay],
+    )
+    angle = response.angle_rad[first : last + 1]
+    return Validation(
+        first_slot=first,
+        velocity=velocity,
+        time_s=np.arange(angle.size, dtype=np.float64) * response.period_s,
+        angle_rad=angle,
+        angle_order1_rad=_integrated(angle[0], velocity.order1, response.period_s),
+        angle_order3_rad=_integrated(angle[0], velocity.order3, response.period_s),
+    )
+
+
+def _integrated(start: float, velocity: Array, period_s: float) -> Array:
+    return start + np.concatenate([[0.0], np.cumsum(velocity) * period_s])
+
+
+def _noise_rad_s(recording: Recording, response: Response) -> float:
+    """At standstill, or by the encoder's steps: a still encoder's counts hide their size.
+
+    Rounding to steps q is noise of variance q^2/12 in each angle, q^2/6 in an increment.
+    """
+    slots = response.slots_of(Phase.STANDSTILL)
+    still = response.velocity_rad_s[slots.start : max(slots.stop - 1, 0)]
+    measured = float(still.std()) if still.size >= ENOUGH_STANDSTILL else float("nan")
+    encoder = recording.rig.encoder if recording.rig is not None else None
+    if encoder is None:
+        return measured
+    step_rad = 2.0 * np.pi / encoder.counts_per_revolution
+    return float(np.fmax(measured, step_rad / (np.sqrt(6.0) * response.period_s)))
+
+
+def _flags(
+    recording: Recording,
+    response: Response,
+    found: Identification,
+    kernels: Kernels,
+    validation: Validation | None,
+) -> list[str]:
+    flags = []
+    if recording.cut:
+        flags.append("The recording was cut before its run ended.")
+    if response.missing_angles:
+        flags.append(
+            f"{response.missing_angles} load angles were missing ({response.missing_slots} whole "
+            f"slots) and were bridged by straight lines."
+        )
+    if kernels.periods < found.periods:
+        flags.append(f"Only {kernels.periods} of {found.periods} periods could be used.")
+    if validation is None:
+        flags.append(
+            "No validation was recorded that is longer than the memory: nothing judges these "
+            "kernels on fresh input."
+        )
+    else:
+        played = np.abs(response.command_rad_s[response.slots_of(Phase.VALIDATION)])
+        if np.abs(played - kernels.amplitude).max() > 1e-3 * kernels.amplitude:
+            flags.append(
+                "The validation was not played at the amplitude of the identification: kernels "
+                "hold at their own amplitude only."
+            )
+    return flags
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _known(value: Any) -> Any:
+    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -1,0 +1,127 @@
+"""Which samples of a response belong to which chip of the identification sequence.
+
+The lead-in plays the tail of the sequence, so from the kernels' memory after its start on the
+response is in its periodic steady state, and any N samples in a row are a whole period.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_bench.errors import FitError, RecordingError
+from servo_bench.excitation.experiment import Phase
+from servo_bench.excitation.msequence import m_sequence
+from servo_bench.kernels.response import LARGEST_MISSING_SHARE, Response
+from servo_bench.kernels.volterra import extract
+
+Array = NDArray[np.float64]
+
+SIGNIFICANT_SCATTERS = 8.0
+SIGNIFICANT_SHARE = 0.05
+"""A lag has answered where its coefficient passes both: scatters, and a share of the largest."""
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """Where an M-sequence was played: chip 0 in slot `start`, periodic from `first` to `stop`."""
+
+    polynomial: str
+    amplitude_rad_s: float
+    chips: int
+    first: int
+    start: int
+    stop: int
+
+    @property
+    def periods(self) -> int:
+        """Whole periods that were commanded from `start` on."""
+        return (self.stop - self.start) // self.chips
+
+
+def locate(response: Response, polynomial: str) -> Identification:
+    """Find the sequence in the commands and check that it is this polynomial's.
+
+    Raises RecordingError where less than a period was played, FitError where it is another
+    sequence, ConfigError where the polynomial is not primitive.
+    """
+    chips = m_sequence(polynomial).astype(np.float64)
+    slots = response.slots_of(Phase.IDENTIFICATION)
+    played = slots.stop - slots.start
+    if played < chips.size:
+        raise RecordingError(
+            f"the recording holds {played} slots of identification, but one period of "
+            f"{polynomial} has {chips.size}: no kernel can be extracted. Record at least one "
+            f"whole period, or play a polynomial of a lower degree."
+        )
+    amplitude = float(np.median(np.abs(response.command_rad_s[slots])))
+    wrong = _wrong_share(response, slots, slots.start, amplitude * chips)
+    if wrong > LARGEST_MISSING_SHARE:
+        raise FitError(
+            f"the commands of slots {slots.start} to {slots.stop - 1} are not the M-sequence of "
+            f"{polynomial} at +-{amplitude:.4g} rad/s: {100.0 * wrong:.1f} % of them differ. "
+            f"Name the polynomial that was played, or check that the recording is whole."
+        )
+    lead_in = response.slots_of(Phase.LEAD_IN)
+    periodic = lead_in.stop == slots.start and (
+        _wrong_share(response, lead_in, slots.start, amplitude * chips) <= LARGEST_MISSING_SHARE
+    )
+    return Identification(
+        polynomial=polynomial,
+        amplitude_rad_s=amplitude,
+        chips=chips.size,
+        first=lead_in.start if periodic else slots.start,
+        start=slots.start,
+        stop=slots.stop,
+    )
+
+
+def _wrong_share(response: Response, slots: slice, start: int, commands: Array) -> float:
+    """The share of slots whose command is not the sequence's to within half its amplitude."""
+    places = (np.arange(slots.start, slots.stop) - start) % commands.size
+    distance = np.abs(response.command_rad_s[slots] - commands[places])
+    return float(np.mean(~(distance < 0.5 * np.abs(commands[places])))) if places.size else 0.0
+
+
+def response_periods(
+    response: Response, found: Identification, memory: int, delay_periods: int
+) -> Array:
+    """The velocity that answers each chip, in rad/s, shape (periods, N), steady state only.
+
+    Sample t is the slot `delay_periods` after chip t. Where the recording ends too early the
+    window moves back into the lead-in. RecordingError where no whole period is left.
+    """
+    earliest = found.first + delay_periods + memory - 1
+    latest = min(found.stop + delay_periods, response.velocity_rad_s.size)
+    periods = min(found.periods, (latest - earliest) // found.chips)
+    if periods < 1:
+        raise RecordingError(
+            f"the recording answers {max(latest - earliest, 0)} chips in steady state, but one "
+            f"period of {found.polynomial} has {found.chips}: it ends too early, or its lead-in "
+            f"({found.start - found.first} chips) is shorter than delay and memory "
+            f"({delay_periods + memory - 1}). Record to the end, with a longer lead-in."
+        )
+    begin = min(max(found.start + delay_periods, earliest), latest - periods * found.chips)
+    window = response.velocity_rad_s[begin : begin + periods * found.chips]
+    first_chip = (begin - delay_periods - found.start) % found.chips
+    return np.roll(window.reshape(periods, found.chips), first_chip, axis=1)
+
+
+def command_delay(response: Response, found: Identification, memory: int) -> int:
+    """How many whole periods pass before a command shows: the first lag that answers.
+
+    A drive that executes one SYNC later has 1. FitError where no lag answers at all.
+    """
+    at_once = response_periods(response, found, memory, 0)
+    linear = extract(at_once, found.polynomial, found.amplitude_rad_s, memory, 1)
+    strength = np.abs(linear.c1)
+    largest = float(strength.max())
+    if largest <= SIGNIFICANT_SCATTERS * linear.scatter:
+        raise FitError(
+            f"the load angle does not answer the commands: its strongest linear lag is "
+            f"{largest:.3g} rad/s, with a scatter of {linear.scatter:.3g} where nothing can be. "
+            f"Check that the load encoder is coupled and is the recorded channel, and that the "
+            f"amplitude moves the load through its backlash."
+        )
+    threshold = max(SIGNIFICANT_SCATTERS * linear.scatter, SIGNIFICANT_SHARE * largest)
+    return int(np.flatnonzero(strength > threshold)[0])

@@ -1,0 +1,1 @@
+"""Recordings: the value, and the one module that knows MCAP."""

@@ -1,0 +1,219 @@
+"""The bus loop: plays a schedule into an axis, slot by slot, in a process of its own.
+
+    python -m servo_bench.run.busloop     (the session starts it; a job comes on stdin)
+
+Nothing else shares this interpreter: no analysis, no file, no web server. The job is one JSON
+line; rows go into the slot table; what is not a row goes to stdout as JSON lines. In each slot:
+
+    wait for the deadline -> take what is late -> check limits -> command (RPDO, SYNC)
+    -> take answers until all are there, or the next deadline is near
+
+A slot whose time has passed is skipped and said, never made up. The chip index follows the slot.
+"""
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from types import FrameType
+from typing import Any
+
+from drivers.axis import Axis, Sample
+from drivers.canopen.master import CanopenAxis
+from servo_bench.clock import NS_PER_S, Clock, Grid, monotonic_ns
+from servo_bench.errors import BenchError, LimitError, WireError, gathered
+from servo_bench.excitation.experiment import Experiment, Schedule, experiment_from_table
+from servo_bench.rig import Limits, RigConfig, rig_from_table
+from servo_bench.run.limits import Guard
+from servo_bench.run.realtime import follow_parent, make_punctual
+from servo_bench.run.table import SlotTable
+
+PRIORITY = 80
+SETTLE_S = 0.5
+Tell = Callable[..., None]
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What the session hands over."""
+
+    experiment: Experiment
+    rig: RigConfig
+    descriptor: int
+    priority: int = PRIORITY
+    cpu: int | None = None
+
+    @classmethod
+    def from_line(cls, line: str) -> "Job":
+        """Read a job from its JSON line."""
+        table: Mapping[str, Any] = json.loads(line)
+        return cls(
+            experiment=experiment_from_table(table["experiment"], "the session's job"),
+            rig=rig_from_table(table["rig"], "the session's job"),
+            descriptor=table["descriptor"],
+            priority=table["priority"],
+            cpu=table["cpu"],
+        )
+
+    def line(self) -> str:
+        """The job as one JSON line."""
+        return json.dumps(
+            {
+                "experiment": self.experiment.model_dump(mode="json"),
+                "rig": self.rig.model_dump(mode="json"),
+                "descriptor": self.descriptor,
+                "priority": self.priority,
+                "cpu": self.cpu,
+            }
+        )
+
+
+def tell(kind: str, text: str, *, time_ns: int | None = None, **data: Any) -> None:
+    """Say something to the session: one JSON line on stdout."""
+    message = {"time_ns": time_ns or monotonic_ns(), "kind": kind, "text": text, "data": data}
+    sys.stdout.write(json.dumps(message) + "\n")
+    sys.stdout.flush()
+
+
+class Player:
+    """Plays one schedule into one entered axis, writing rows; owns nothing but its counters."""
+
+    def __init__(
+        self,
+        axis: Axis,
+        schedule: Schedule,
+        table: SlotTable,
+        limits: Limits,
+        clock: Clock,
+    ) -> None:
+        self._clock = clock
+        self._axis = axis
+        self._schedule = schedule
+        self._table = table
+        self._limits = limits
+        self._period_ns = round(schedule.period_s * NS_PER_S)
+        self._open: list[int] = []  # slots asked and not yet settled, in order
+
+    def play(self, start_ns: int, tell: Tell) -> None:
+        """Play every slot whose time comes; return early where the session asks to stop.
+
+        Raises LimitError where a limit is left and WireError where the axis cannot be trusted.
+        """
+        grid = Grid(start_ns, self._period_ns)
+        guard = Guard(self._limits, self._schedule.period_s, start_ns)
+        slot = 0
+        while slot < self._schedule.slots and not self._table.stop_asked:
+            woken_ns = self._clock.sleep_until(grid.deadline_ns(slot))
+            due = min(grid.due(slot, woken_ns), self._schedule.slots)
+            if due > slot:
+                self._skip(slot, due, tell)
+                slot = due
+                continue
+            self._settle(self._axis.samples(woken_ns), guard)
+            asked_ns = self._axis.command(float(self._schedule.velocity_rad_s[slot]), slot)
+            self._write_ask(slot, asked_ns, (woken_ns - grid.deadline_ns(slot)) / NS_PER_S)
+            self._settle(self._axis.samples(grid.deadline_ns(slot + 1) - self._margin_ns), guard)
+            self._heed(tell)
+            slot += 1
+        self._settle(self._axis.samples(self._clock.now_ns() + round(SETTLE_S * NS_PER_S)), guard)
+
+    @property
+    def _margin_ns(self) -> int:
+        return min(self._period_ns // 8, 500_000)
+
+    def _skip(self, slot: int, due: int, tell: Tell) -> None:
+        self._table.missed += due - slot
+        tell("slot skipped", f"{due - slot} slot(s) from {slot} on were missed", slot=slot, to=due)
+        if not self._open:
+            self._table.done = due
+
+    def _write_ask(self, slot: int, asked_ns: int, lateness_s: float) -> None:
+        row = self._table.rows[slot]
+        row["chip"] = self._schedule.chip[slot]
+        row["phase"] = self._schedule.phase[slot]
+        row["velocity_command_rad_s"] = self._schedule.velocity_rad_s[slot]
+        row["asked_ns"] = asked_ns
+        row["lateness_s"] = lateness_s
+        self._table.slot = slot
+        self._open.append(slot)
+
+    def _settle(self, samples: Iterable[Sample], guard: Guard) -> None:
+        for sample in samples:
+            _write_answer(self._table.rows[sample.slot], sample)
+            self._open.remove(sample.slot)
+            self._table.done = self._open[0] if self._open else self._table.slot + 1
+            breach = guard.breach(sample)
+            if breach:
+                raise LimitError(
+                    f"{breach}: the rig was stopped. Look at the recording before playing again; "
+                    "if the limit is too tight, raise it in the rig's [limits]."
+                )
+
+    def _heed(self, tell: Tell) -> None:
+        for event in self._axis.events():
+            tell(event.kind, event.text, time_ns=event.time_ns, fatal=event.fatal)
+            if event.fatal:
+                raise WireError(f"{event.text} The rig was stopped in slot {self._table.slot}.")
+
+
+def _write_answer(row: Any, sample: Sample) -> None:
+    row["slot"] = sample.slot
+    for name in (
+        "device_time_us",
+        "statusword",
+        "motor_position_counts",
+        "motor_position_rad",
+        "motor_velocity_rad_s",
+        "motor_torque_nm",
+        "load_angle_counts",
+        "load_angle_rad",
+    ):
+        value = getattr(sample, name)
+        if value is not None:
+            row[name] = value
+    for name, answered_ns in (
+        ("drive_latency_s", sample.drive_answered_ns),
+        ("encoder_latency_s", sample.encoder_answered_ns),
+    ):
+        if answered_ns is not None:
+            row[name] = (answered_ns - sample.asked_ns) / NS_PER_S
+
+
+def run_job(job: Job, table: SlotTable) -> None:
+    """Enable the rig, play, stop it. Raises BenchError; the axis is left stopped either way."""
+    schedule = job.experiment.schedule()
+    if job.cpu is not None:
+        os.sched_setaffinity(0, {job.cpu})
+    for sentence in make_punctual(job.priority):
+        tell("not punctual", sentence)
+    with gathered(), CanopenAxis(job.rig.canopen_settings(job.experiment.period_s)) as axis:
+        # the next period already: a drive that watches SYNC allows no pause after enabling
+        start_ns = monotonic_ns() + round(job.experiment.period_s * NS_PER_S)
+        tell("playing", "the drive is enabled", start_ns=start_ns)
+        Player(axis, schedule, table, job.rig.limits, Clock()).play(start_ns, tell)
+        tell("stopping", "the last slot was played" if not table.stop_asked else "asked to stop")
+
+
+def main() -> int:
+    """Entry point of the process: 0 when the rig was played and stopped, 1 with an error line."""
+    job = Job.from_line(sys.stdin.readline())
+    with SlotTable(job.descriptor, job.experiment.schedule().slots) as table:
+
+        def stop(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
+            table.ask_stop()
+
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to everyone: the
+        signal.signal(signal.SIGTERM, stop)  # session decides, and asks through the table
+        follow_parent(signal.SIGTERM)
+        try:
+            run_job(job, table)
+        except BenchError as error:
+            tell("error", str(error), error=type(error).__name__)
+            return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

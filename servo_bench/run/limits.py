@@ -1,0 +1,113 @@
+"""The rig's limits: checked on the whole schedule before anything is enabled, and in every slot.
+
+This is no safety function: a rig needs a hard-wired emergency stop or STO of its own.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+from drivers.axis import Sample
+from servo_bench.clock import NS_PER_S
+from servo_bench.errors import LimitError
+from servo_bench.excitation.experiment import Schedule
+from servo_bench.rig import Limits
+
+DEVICE_TIME_RANGE_US = 1 << 32
+"""Where CiA 301's 0x1013 wraps."""
+
+
+def check_schedule(schedule: Schedule, limits: Limits) -> None:
+    """Raise LimitError where playing the schedule must leave the limits."""
+    for what, got, allowed, unit, remedy in (
+        (
+            "the commanded velocity",
+            math.degrees(schedule.peak_velocity_rad_s),
+            math.degrees(limits.velocity_rad_s),
+            "deg/s",
+            "Lower the amplitude, or raise limits.velocity_deg_s if the rig allows it.",
+        ),
+        (
+            "the commanded travel",
+            math.degrees(schedule.peak_travel_rad),
+            math.degrees(limits.travel_rad),
+            "deg",
+            "Lower the amplitude or the period, or raise limits.travel_deg.",
+        ),
+        (
+            "the run time",
+            schedule.duration_s,
+            limits.run_time_s,
+            "s",
+            "Play fewer periods, or raise limits.run_time_s.",
+        ),
+    ):
+        if got > allowed:
+            raise LimitError(
+                f"{what} would reach {got:.6g} {unit}, the rig's limit is {allowed:.6g} {unit}. "
+                f"{remedy} Nothing was enabled."
+            )
+
+
+@dataclass(slots=True)
+class Guard:
+    """Watches the samples of a run; `breach` says in words which limit was left, or None.
+
+    Travel is counted from the first sample. Velocity is the angle's difference over the time
+    between the two samples: by the device's own clock where both came with one, else the longer of
+    the time between the asks and the time between the answers, and half a period at the least, so
+    that a frame that was held up on its way is no velocity.
+    """
+
+    limits: Limits
+    period_s: float
+    start_ns: int
+    _first: dict[str, float] = field(default_factory=dict)
+    _last: dict[str, tuple[Sample, float]] = field(default_factory=dict)
+
+    def breach(self, sample: Sample) -> str | None:
+        """The first limit that this sample has left, as a sentence."""
+        for name, angle_rad in (
+            ("motor", sample.motor_position_rad),
+            ("load", sample.load_angle_rad),
+        ):
+            if angle_rad is not None:
+                found = self._angle_breach(name, angle_rad, sample)
+                if found:
+                    return found
+        elapsed_s = (sample.asked_ns - self.start_ns) / NS_PER_S
+        if elapsed_s > self.limits.run_time_s:
+            return (
+                f"the run has lasted {elapsed_s:.3f} s in slot {sample.slot}, "
+                f"the limit is {self.limits.run_time_s:.3f} s"
+            )
+        return None
+
+    def _angle_breach(self, name: str, angle_rad: float, sample: Sample) -> str | None:
+        travel_rad = angle_rad - self._first.setdefault(name, angle_rad)
+        then, then_rad = self._last.get(name, (sample, angle_rad))
+        self._last[name] = (sample, angle_rad)
+        velocity_rad_s = (angle_rad - then_rad) / self._elapsed_s(then, sample)
+        for what, got, allowed, unit in (
+            ("travel", travel_rad, self.limits.travel_rad, "deg"),
+            ("velocity", velocity_rad_s, self.limits.velocity_rad_s, "deg/s"),
+        ):
+            if abs(got) > allowed:
+                return (
+                    f"the {name}'s {what} reached {math.degrees(got):.6g} {unit} in slot "
+                    f"{sample.slot}, the limit is {math.degrees(allowed):.6g} {unit}"
+                )
+        return None
+
+    def _elapsed_s(self, then: Sample, now: Sample) -> float:
+        if then.device_time_us is not None and now.device_time_us is not None:
+            elapsed_s = ((now.device_time_us - then.device_time_us) % DEVICE_TIME_RANGE_US) * 1e-6
+        else:
+            elapsed_s = (
+                max(now.asked_ns - then.asked_ns, _answered(now) - _answered(then)) / NS_PER_S
+            )
+        return max(elapsed_s, self.period_s / 2)
+
+
+def _answered(sample: Sample) -> int:
+    """When the sample's last part came; its ask where none did."""
+    return max(sample.drive_answered_ns or 0, sample.encoder_answered_ns or 0) or sample.asked_ns

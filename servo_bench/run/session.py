@@ -1,0 +1,261 @@
+"""The run session: starts the bus loop, watches it, records what it sees, and ends it.
+
+The session is the only party that writes the recording, and the loop the only one that talks to
+the rig; neither waits for the other. Order of business on every way out: the rig is stopped (by
+the loop, whatever happens here), the last rows are written, only then is an error raised.
+"""
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_bench import errors
+from servo_bench.clock import monotonic_ns
+from servo_bench.errors import BenchError, ConfigError, WireError
+from servo_bench.excitation.experiment import Experiment, Phase, Schedule
+from servo_bench.kernels.shifts import collision_free_memory
+from servo_bench.recording.mcap_file import RecordingWriter
+from servo_bench.recording.provenance import provenance
+from servo_bench.recording.recording import Event
+from servo_bench.rig import RigConfig
+from servo_bench.run.busloop import PRIORITY, Job
+from servo_bench.run.limits import check_schedule
+from servo_bench.run.table import UNPLAYED, SlotTable
+
+WRITE_EVERY_S = 0.1
+STATUS_WINDOW_S = 2.0
+STOP_GRACE_S = 5.0
+KERNEL_ORDER = 3
+Told = tuple[Event, bool]
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """What the operator may see while the run plays."""
+
+    slot: int
+    slots: int
+    phase: Phase
+    seconds_left: float
+    missed: int
+    lateness_p50_s: float
+    lateness_max_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class RunSummary:
+    """How a run ended."""
+
+    path: Path
+    slots: int
+    played: int
+    missed: int
+    stopped_early: bool
+    sentences: tuple[str, ...] = field(default=())
+
+
+def run(
+    experiment: Experiment,
+    rig: RigConfig,
+    out: Path,
+    *,
+    progress: Callable[[Status], None] = lambda _: None,
+    stop: Callable[[], bool] = lambda: False,
+    priority: int = PRIORITY,
+    cpu: int | None = None,
+) -> RunSummary:
+    """Play `experiment` on `rig` and record it to `out`.
+
+    `stop` is asked about ten times a second; once it says yes the rig is stopped and the recording
+    closed. Raises ConfigError or LimitError before anything is enabled; WireError, DriveError,
+    LimitError or RecordingError after, when the rig has been stopped and the recording closed. A
+    run that ended before its first sample leaves no file.
+    """
+    schedule = experiment.schedule()
+    check_memory(experiment)
+    check_schedule(schedule, rig.limits)
+    rig.canopen_settings(experiment.period_s)  # a missing EDS is found before a file is opened
+    with SlotTable.create(schedule.slots) as table:
+        writer = RecordingWriter(out, experiment, rig, provenance(), 1.0 / experiment.period_s)
+        watch = _Watch(table, schedule, writer, progress)
+        try:
+            with writer, _Loop(Job(experiment, rig, table.descriptor, priority, cpu)) as loop:
+                watch.until_over(loop, stop)
+        finally:
+            if watch.played == 0:
+                out.unlink(missing_ok=True)
+        watch.raise_what_ended_it(loop)
+        return RunSummary(
+            path=out,
+            slots=schedule.slots,
+            played=watch.played,
+            missed=table.missed,
+            stopped_early=table.stop_asked,
+            sentences=tuple(watch.sentences),
+        )
+
+
+def check_memory(experiment: Experiment) -> None:
+    """Raise ConfigError where the sequence cannot give kernels of the memory that is asked for."""
+    polynomial = experiment.identification.polynomial
+    limit = collision_free_memory(polynomial, KERNEL_ORDER)
+    if experiment.memory > limit:
+        raise ConfigError(
+            f"memory = {experiment.memory} samples, but the cross-sections of {polynomial} collide "
+            f"beyond {limit} (order {KERNEL_ORDER}). Lower memory to {limit}, or choose a "
+            "polynomial of a higher degree. Nothing was enabled."
+        )
+
+
+class _Loop:
+    """The bus loop's process: its job goes in, its events come out, and it never outlives us."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._unread = b""
+
+    def __enter__(self) -> "_Loop":
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "servo_bench.run.busloop"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            pass_fds=(self._job.descriptor,),
+        )
+        stdin, stdout = self.process.stdin, self.process.stdout
+        if stdin is None or stdout is None:
+            raise WireError("the bus process has no pipes: start it through the session.")
+        self._stdout = stdout.fileno()
+        os.set_blocking(self._stdout, False)
+        stdin.write(self._job.line().encode() + b"\n")
+        stdin.close()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+            try:
+                self.process.wait(STOP_GRACE_S + self._job.rig.drive.stop_timeout_s)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+        if self.process.stdout:
+            self.process.stdout.close()
+
+    def events(self, timeout_s: float) -> list[Told]:
+        """What the loop has said, after waiting for at most `timeout_s`; whether it is an end."""
+        select.select([self._stdout], [], [], timeout_s)
+        try:
+            while data := os.read(self._stdout, 65536):
+                self._unread += data
+        except BlockingIOError:
+            pass
+        *lines, self._unread = self._unread.split(b"\n")
+        return [_event(line) for line in lines]
+
+    @property
+    def over(self) -> bool:
+        """Whether the process has ended."""
+        return self.process.poll() is not None
+
+
+def _event(line: bytes) -> Told:
+    message = json.loads(line)
+    event = Event(message["time_ns"], message["kind"], message["text"], message["data"])
+    return event, event.kind == "error"
+
+
+class _Watch:
+    """Moves rows and events from the loop to the recording, and keeps what ended the run."""
+
+    def __init__(
+        self,
+        table: SlotTable,
+        schedule: Schedule,
+        writer: RecordingWriter,
+        progress: Callable[[Status], None],
+    ) -> None:
+        self._table = table
+        self._schedule = schedule
+        self._writer = writer
+        self._progress = progress
+        self._written = 0
+        self._ending: Event | None = None
+        self.played = 0
+        self.sentences: list[str] = []
+
+    def until_over(self, loop: _Loop, stop: Callable[[], bool]) -> None:
+        """Write and report until the loop's process has ended and everything is written."""
+        over = False
+        while not over:
+            over = loop.over  # asked first, so that the last pass sees all it left
+            for event, is_end in loop.events(0.0 if over else WRITE_EVERY_S):
+                self._note(event, is_end=is_end)
+            self._write_rows()
+            self._progress(self._status())
+            if not self._table.stop_asked and stop():
+                self._table.ask_stop()
+                self._writer.event(Event(monotonic_ns(), "stop asked", "the operator asked"))
+
+    def _note(self, event: Event, *, is_end: bool) -> None:
+        self._writer.event(event)
+        if is_end:
+            self._ending = event
+        elif event.kind == "not punctual":
+            self.sentences.append(event.text)
+
+    def _write_rows(self) -> None:
+        done = self._table.done
+        rows = self._table.rows[self._written : done]
+        rows = rows[rows["slot"] != UNPLAYED]
+        if rows.size:
+            self._writer.samples(rows)
+        self.played += rows.size
+        self._written = done
+
+    def _status(self) -> Status:
+        slot, period_s = self._table.slot, self._schedule.period_s
+        lateness_s = self._recent_lateness_s(slot, round(STATUS_WINDOW_S / period_s))
+        return Status(
+            slot=slot,
+            slots=self._schedule.slots,
+            phase=Phase(int(self._schedule.phase[slot])),
+            seconds_left=(self._schedule.slots - slot) * period_s,
+            missed=self._table.missed,
+            lateness_p50_s=float(np.median(lateness_s)),
+            lateness_max_s=float(lateness_s.max()),
+        )
+
+    def _recent_lateness_s(self, slot: int, window: int) -> NDArray[np.float64]:
+        recent: NDArray[np.float64] = self._table.rows["lateness_s"][max(0, slot - window) : slot]
+        recent = recent[np.isfinite(recent)]
+        return recent if recent.size else np.zeros(1)
+
+    def raise_what_ended_it(self, loop: _Loop) -> None:
+        """Raise what the loop reported, or what its exit status means; nothing after a good run."""
+        if self._ending is not None:
+            raise _error_class(self._ending)(self._ending.text)
+        status = loop.process.returncode
+        if status != 0:
+            raise WireError(
+                f"the bus process ended without a word ({_exit_in_words(status)}) in slot "
+                f"{self._table.slot}. The drive stops by itself when it misses the master's "
+                "heartbeat; check that it has, and look at this terminal for a traceback."
+            )
+
+
+def _error_class(event: Event) -> type[BenchError]:
+    named = getattr(errors, str(event.data.get("error")), BenchError)
+    return named if isinstance(named, type) and issubclass(named, BenchError) else BenchError
+
+
+def _exit_in_words(status: int) -> str:
+    return f"killed by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"

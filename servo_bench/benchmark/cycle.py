@@ -1,0 +1,184 @@
+"""The bus loop against a C loop of the same class and priority, on the same CPU, in the same run.
+
+The reference wakes half a period after the loop, on the same CPU, so that a hole in which the
+machine was stolen hits both. A *stolen window* is where the reference itself woke more than
+`STOLEN_S` late; cycles within one period of it are left out of the clean figures, and a skipped
+slot there is explained. A listener on the bus adds what a third party sees.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_bench.benchmark.listener import spread_us
+from servo_bench.benchmark.reference import running_reference
+from servo_bench.clock import NS_PER_S, monotonic_ns
+from servo_bench.excitation.experiment import Experiment, MSequence, RandomBinary
+from servo_bench.recording.mcap_file import load
+from servo_bench.recording.recording import Recording
+from servo_bench.rig import load_rig
+from servo_bench.run.session import Status, run
+from sim_rig.process import spawn
+
+STOLEN_S = 0.0005
+AMPLITUDE_RAD_S = 0.5
+SETUP_S = 3.0
+
+
+def measure(
+    *,
+    period_s: float,
+    seconds: float,
+    priority: int,
+    cpu: int | None,
+    rig_name: str = "rigs/paper.toml",
+    progress: Callable[[Status], None] = lambda _: None,
+) -> dict[str, Any]:
+    """Play `seconds` at `period_s` on the software rig; the figures, ready for JSON.
+
+    Raises BenchError where there is no C compiler and what a run raises.
+    """
+    rig = load_rig(rig_name).on_a_free_port()
+    experiment = _experiment(period_s, seconds)
+    chosen = max(os.sched_getaffinity(0)) if cpu is None else cpu
+    period_ns = round(period_s * NS_PER_S)
+    cycles = experiment.schedule().slots + round(SETUP_S / period_s)
+    with tempfile.TemporaryDirectory() as folder, spawn(rig.simulation_settings()) as simulated:
+        out = Path(folder) / "cycle.mcap"
+        listener = _start_listener(dict(simulated.bus), experiment.schedule().slots)
+        with running_reference(
+            priority=priority,
+            cpu=chosen,
+            start_ns=monotonic_ns() + period_ns,
+            period_ns=period_ns,
+            cycles=cycles,
+        ) as reference:
+            summary = run(
+                experiment,
+                rig.with_bus(**simulated.bus),
+                out,
+                priority=priority,
+                cpu=chosen,
+                progress=progress,
+            )
+            due_ns, late_ns = reference.rows()
+        seen = json.loads(listener.communicate()[0])
+        recording = load(out)
+    asked_ns = recording["asked_ns"]
+    during = (due_ns >= asked_ns[0]) & (due_ns <= asked_ns[-1])  # without set-up and tear-down
+    due_ns, late_ns = due_ns[during], late_ns[during]
+    stolen = _stolen_windows(due_ns, late_ns)
+    return {
+        "period_s": period_s,
+        "seconds": seconds,
+        "priority": priority,
+        "cpu": chosen,
+        "refused": list(summary.sentences),
+        "cycles": len(recording),
+        "loop": _figures(asked_ns, recording["lateness_s"], stolen, period_ns),
+        "reference": _figures(due_ns, late_ns / NS_PER_S, stolen, period_ns),
+        "stolen_windows": len(stolen),
+        "ratio": _ratio(recording, due_ns, late_ns, stolen, period_ns),
+        "missed_slots": summary.missed,
+        "unexplained_gaps": _unexplained(recording, stolen, period_ns),
+        "bus": {
+            "sync_interval": spread_us(np.diff(seen.pop("sync_s")).tolist()),
+            "answers_after_sync": {cob_id: spread_us(after) for cob_id, after in seen.items()},
+        },
+    }
+
+
+def _experiment(period_s: float, seconds: float) -> Experiment:
+    slots = round(seconds / period_s)
+    return Experiment(
+        name="benchmark cycle",
+        rig="rigs/paper.toml",
+        period_s=period_s,
+        memory=1,
+        standstill_s=0.0,
+        lead_in=1,
+        identification=MSequence(
+            polynomial="15341", amplitude_rad_s=AMPLITUDE_RAD_S, length=slots - 2
+        ),
+        validation=RandomBinary(
+            kind="random-binary", seed=1, amplitude_rad_s=AMPLITUDE_RAD_S, length=1
+        ),
+    )
+
+
+def _start_listener(
+    bus: dict[str, str | int | float | bool], syncs: int
+) -> "subprocess.Popen[bytes]":
+    process = subprocess.Popen(
+        [sys.executable, "-m", "servo_bench.benchmark.listener"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    if process.stdin:
+        process.stdin.write(json.dumps({"bus": bus, "syncs": syncs}).encode() + b"\n")
+        process.stdin.flush()
+    return process
+
+
+def _stolen_windows(due_ns: NDArray[np.int64], late_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Begin and end in ns of each hole, shape (holes, 2)."""
+    hit = late_ns > STOLEN_S * NS_PER_S
+    return np.column_stack([due_ns[hit], due_ns[hit] + late_ns[hit]])
+
+
+def _clean(at_ns: NDArray[np.int64], stolen: NDArray[np.int64], margin_ns: int) -> NDArray[np.bool]:
+    clean = np.ones(at_ns.size, np.bool)
+    for begin_ns, end_ns in stolen:
+        clean &= (at_ns < begin_ns - margin_ns) | (at_ns > end_ns + margin_ns)
+    return clean
+
+
+def _figures(
+    at_ns: NDArray[np.int64],
+    lateness_s: NDArray[np.float64],
+    stolen: NDArray[np.int64],
+    period_ns: int,
+) -> dict[str, dict[str, float]]:
+    clean = _clean(at_ns, stolen, period_ns)
+    return {
+        "raw": spread_us(lateness_s.tolist()),
+        "clean": spread_us(lateness_s[clean].tolist()),
+    }
+
+
+def _ratio(
+    recording: Recording,
+    due_ns: NDArray[np.int64],
+    late_ns: NDArray[np.int64],
+    stolen: NDArray[np.int64],
+    period_ns: int,
+) -> dict[str, float]:
+    """Clean lateness of the loop over that of the reference."""
+    loop_s = recording["lateness_s"][_clean(recording["asked_ns"], stolen, period_ns)]
+    reference_ns = late_ns[_clean(due_ns, stolen, period_ns)]
+    return {
+        name: float(np.percentile(loop_s * NS_PER_S, mark) / np.percentile(reference_ns, mark))
+        for name, mark in (("p50", 50.0), ("p99", 99.0))
+    }
+
+
+def _unexplained(recording: Recording, stolen: NDArray[np.int64], period_ns: int) -> list[int]:
+    """Slots after which there is a gap that no hole of the machine explains."""
+    slots, asked_ns = recording["slot"], recording["asked_ns"]
+    gaps = np.flatnonzero(np.diff(slots) > 1)
+    return [
+        int(slots[gap])
+        for gap in gaps
+        if not any(
+            begin_ns < asked_ns[gap + 1] + period_ns and end_ns > asked_ns[gap] - period_ns
+            for begin_ns, end_ns in stolen
+        )
+    ]

@@ -1,0 +1,75 @@
+"""`servo-bench benchmark …`: the bench's claims, measured on this machine."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.pretty import pprint
+
+from servo_bench.benchmark import cycle as cycle_benchmark
+from servo_bench.benchmark import experiment as experiment_benchmark
+from servo_bench.benchmark import kernels as kernels_benchmark
+from servo_bench.benchmark import recording as recording_benchmark
+from servo_bench.cli.output import refuse_existing, write_json
+from servo_bench.cli.progress import run_progress
+from servo_bench.run.busloop import PRIORITY
+
+app = typer.Typer(no_args_is_help=True, help="Measure the bench, with a reference beside it.")
+Json = Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")]
+
+
+@app.command()
+def cycle(
+    *,
+    period_s: Annotated[float, typer.Option(help="Period of the bus loop.")] = 0.008,
+    seconds: Annotated[float, typer.Option(help="How long to play.")] = 60.0,
+    priority: Annotated[int, typer.Option(help="SCHED_FIFO priority; 0 for none.")] = PRIORITY,
+    cpu: Annotated[int | None, typer.Option(help="CPU for both loops; default the last.")] = None,
+    json: Json = None,
+) -> None:
+    """The bus loop's punctuality beside a C loop on the same CPU, and what a listener sees."""
+    refuse_existing(json)
+    with run_progress(Console(stderr=True)) as progress:
+        figures = cycle_benchmark.measure(
+            period_s=period_s, seconds=seconds, priority=priority, cpu=cpu, progress=progress
+        )
+    _show(figures, json)
+
+
+@app.command()
+def experiment(
+    *,
+    name: Annotated[str, typer.Option(help="Experiment file.")] = "experiments/paper.toml",
+    json: Json = None,
+) -> None:
+    """The paper's experiment on the software rig over the real wire: VAF against its target."""
+    refuse_existing(json)
+    with run_progress(Console(stderr=True)) as progress:
+        figures = experiment_benchmark.measure(name, progress=progress)
+    _show(figures, json)
+
+
+@app.command()
+def kernels(
+    *, seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 1, json: Json = None
+) -> None:
+    """Time of extraction and prediction, and the paper's figures."""
+    refuse_existing(json)
+    _show(kernels_benchmark.measure(seed), json)
+
+
+@app.command()
+def recording(
+    *, seed: Annotated[int, typer.Option(help="Seed of the rows.")] = 1, json: Json = None
+) -> None:
+    """Time to read 131 s at 8 ms, beside the mcap library's own reader."""
+    refuse_existing(json)
+    _show(recording_benchmark.measure(seed), json)
+
+
+def _show(figures: Mapping[str, Any], json: Path | None) -> None:
+    pprint(dict(figures), expand_all=True)
+    if json is not None:
+        write_json(json, figures)

@@ -1,0 +1,32 @@
+"""`servo-bench export`: a recording as a file for another program."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from servo_bench.foreign.exporting import Kind
+from servo_bench.foreign.exporting import export as write_export
+from servo_bench.recording.mcap_file import load
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    app.command("export")(export)
+
+
+def export(
+    recording: Annotated[Path, typer.Argument(help="A recording (MCAP).")],
+    *,
+    to: Annotated[Kind, typer.Option("--to", help="The format.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="File to write.")],
+) -> None:
+    """Write every channel of a recording, with units in the columns' names."""
+    loaded = load(recording)
+    write_export(loaded, out, to)
+    Console(stderr=True).print(
+        f"{len(loaded)} rows of {len(loaded.channels)} channels are in {out}.",
+        markup=False,
+        soft_wrap=True,
+    )

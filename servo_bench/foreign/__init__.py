@@ -1,0 +1,1 @@
+"""Measured data from elsewhere in, and recordings out to other programs."""

@@ -1,0 +1,1 @@
+"""Reports: figures with the paper's numbers, and pages that need nothing else."""

@@ -1,0 +1,215 @@
+"""The figures of an experiment: 7 to 10 of the paper, the energies, and the run itself."""
+
+from math import comb
+
+import numpy as np
+
+from servo_bench.kernels.analysis import Analysis, Validation
+from servo_bench.kernels.shifts import collision_free_memory
+from servo_bench.kernels.volterra import Kernels
+from servo_bench.recording.recording import Recording
+from servo_bench.report.kernel_figures import (
+    EXPERIMENT,
+    draw_first_kernel,
+    draw_second_kernel,
+    draw_third_kernel,
+    third_kernel_limit,
+)
+from servo_bench.report.plates import Facts, Plate
+from servo_bench.report.prediction_figures import (
+    WINDOW_SAMPLES,
+    draw_angle_error,
+    draw_energies,
+    draw_validation,
+)
+from servo_bench.report.quality_figures import draw_punctuality, draw_timeline
+from servo_bench.report.style import drawn, symmetric_limit
+from servo_bench.report.wording import DEG, percent, quantity, small_percent
+
+
+def kernel_plates(analysis: Analysis) -> list[Plate]:
+    """Figures 7, 8 and 9, and where the variance lies."""
+    kernels = analysis.kernels
+    limit = third_kernel_limit(kernels, EXPERIMENT)
+    return [
+        Plate(
+            drawn(
+                "figure-7",
+                2.2,
+                lambda figure: draw_first_kernel(figure.subplots(), kernels, EXPERIMENT),
+                "First Volterra kernel over its lags",
+            ),
+            "Figure 7 of the paper",
+            "First Volterra kernel g₁(τ₁) of the load's velocity. One amplitude A shows it only as "
+            "g₁ + A²F. Grey band (where it is wider than the line): ±2 scatter of a coefficient, "
+            "that is noise and aliases of orders 5 and above. Per sample; divided by Δt it is the "
+            "kernel in continuous time.",
+            _first_facts(analysis),
+        ),
+        Plate(
+            drawn(
+                "figure-8",
+                2.9,
+                lambda figure: draw_second_kernel(figure, kernels, EXPERIMENT, limit),
+                "Second Volterra kernel as two maps",
+            ),
+            "Figure 8 of the paper",
+            "Second Volterra kernel g₂(τ₁, τ₂), as the height of its term in the response. Left on "
+            "the scale of the third kernel, right on its own. A symmetric backlash has none: what "
+            "the right map shows is then noise and aliases of higher orders. Grey with a cross: "
+            "not identifiable from binary input.",
+            _second_facts(analysis),
+        ),
+        Plate(
+            drawn(
+                "figure-9",
+                3.1,
+                lambda figure: draw_third_kernel(figure, kernels, EXPERIMENT, limit),
+                "Cross-section of the third Volterra kernel as surface and map",
+            ),
+            "Figure 9 of the paper",
+            "Cross-section g₃(τ₁, τ₂, τ₃ = 1) of the third Volterra kernel, as the height of its "
+            "term in the response. A minus sign marks cells below −10 % of the scale. Grey "
+            "with a cross: two lags are alike, not identifiable from binary input.",
+            _third_facts(analysis),
+        ),
+        Plate(
+            drawn(
+                "energies",
+                1.5,
+                lambda figure: draw_energies(figure.subplots(), analysis),
+                "Share of the response's variance in each order",
+            ),
+            "Energy per order",
+            "Share of the response's variance in the kernels of each order. In none of these: "
+            "orders 5 and above, memory beyond M, and noise.",
+            (
+                ("odd orders", percent(analysis.odd_percent)),
+                ("even order", small_percent(analysis.even_percent)),
+            ),
+        ),
+    ]
+
+
+def validation_plates(validation: Validation) -> list[Plate]:
+    """Figure 10, and the angle error over the whole validation."""
+    velocity = validation.velocity
+    samples = min(WINDOW_SAMPLES, velocity.measured.size)
+    return [
+        Plate(
+            drawn(
+                "figure-10",
+                4.0,
+                lambda figure: draw_validation(figure, validation),
+                "Measured and predicted load velocity and load angle",
+            ),
+            "Figure 10 of the paper",
+            f"Actual output (line) and the output calculated from the kernels of order 1 (x) and "
+            f"of orders 1 to 3 (+), on commands that the fit never saw: the first {samples} of "
+            f"{velocity.measured.size} samples of the validation.",
+            (
+                ("VAF fresh, order 1", percent(velocity.vaf_order1_percent)),
+                ("VAF fresh, orders 1 to 3", percent(velocity.vaf_order3_percent)),
+            ),
+        ),
+        Plate(
+            drawn(
+                "angle-error",
+                1.9,
+                lambda figure: draw_angle_error(figure.subplots(), validation),
+                "Error of the predicted load angle over the validation",
+            ),
+            "Load angle over the whole validation",
+            "Predicted less measured load angle. The prediction integrates velocities from the "
+            "first measured angle and is never corrected, so its errors add up.",
+            (
+                ("rms, order 1", quantity(validation.angle_error_order1_rms_rad, DEG, "deg")),
+                (
+                    "rms, orders 1 to 3",
+                    quantity(validation.angle_error_order3_rms_rad, DEG, "deg"),
+                ),
+            ),
+        ),
+    ]
+
+
+def run_plates(analysis: Analysis, recording: Recording) -> list[Plate]:
+    """How punctual the run was."""
+    quality = analysis.quality
+    return [
+        Plate(
+            drawn(
+                "punctuality",
+                2.3,
+                lambda figure: draw_punctuality(figure, recording, quality),
+                "Histograms of lateness and of the interval between asks",
+            ),
+            "Punctuality",
+            "Left: how late the bus loop woke in each slot. Right: how far the time between the "
+            "asks (CANopen: the SYNC) of neighbouring slots was off the period. Both axes are "
+            "logarithmic; the first bar holds everything below 1 µs.",
+        ),
+        Plate(
+            drawn(
+                "timeline",
+                2.2,
+                lambda figure: draw_timeline(figure.subplots(), recording),
+                "Lateness and mishaps over the run",
+            ),
+            "Timeline",
+            "Largest and median lateness over the run, and the slots that were missed or whose "
+            "answers were missing or late (their height means nothing).",
+            (
+                ("missed slots", f"{quality.missed_slots} of {quality.slots}"),
+                ("answers late", str(quality.late_answers)),
+            ),
+        ),
+    ]
+
+
+def _first_facts(analysis: Analysis) -> Facts:
+    kernels = analysis.kernels
+    peak = int(np.argmax(np.abs(kernels.g1)))
+    limit = collision_free_memory(kernels.polynomial, kernels.order)
+    height = quantity(float(kernels.c1[peak]), DEG, "deg/s")
+    return (
+        ("peak A g₁", f"{height} at {kernels.lags_s[peak] * 1e3:g} ms"),
+        ("sum of g₁ (static gain)", f"{float(kernels.g1.sum()):.4f}"),
+        ("scatter", quantity(kernels.scatter, DEG, "deg/s")),
+        ("energy share", percent(analysis.energy_percent[0])),
+        ("memory", f"{kernels.memory} samples; {limit} can be resolved"),
+    )
+
+
+def _second_facts(analysis: Analysis) -> Facts:
+    kernels = analysis.kernels
+    return (
+        ("energy share", small_percent(analysis.energy_percent[1])),
+        ("scatter alone gives", small_percent(_scatter_percent(analysis, 2))),
+        ("largest 2 A² |g₂|", quantity(symmetric_limit(kernels.c2), DEG, "deg/s")),
+        ("largest A |g₁|", quantity(symmetric_limit(kernels.c1), DEG, "deg/s")),
+    )
+
+
+def _third_facts(analysis: Analysis) -> Facts:
+    kernels = analysis.kernels
+    largest = quantity(symmetric_limit(kernels.c3), DEG, "deg/s")
+    return (
+        ("energy share", small_percent(analysis.energy_percent[2])),
+        ("scatter alone gives", small_percent(_scatter_percent(analysis, 3))),
+        ("largest 6 A³ |g₃|", f"{largest} at {_lags(kernels)}"),
+        ("elements", f"{comb(kernels.memory, 3)}"),
+    )
+
+
+def _scatter_percent(analysis: Analysis, order: int) -> float:
+    """The energy share that coefficients of nothing but scatter would have."""
+    kernels = analysis.kernels
+    energy = comb(kernels.memory, order) * kernels.scatter**2
+    return 100.0 * energy / float(np.var(analysis.identification.measured))
+
+
+def _lags(kernels: Kernels) -> str:
+    """Where the third kernel is largest."""
+    place = np.unravel_index(int(np.argmax(np.abs(kernels.c3))), kernels.c3.shape)
+    return "τ = " + ", ".join(str(int(lag)) for lag in place)

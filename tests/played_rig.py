@@ -65,6 +65,8 @@ class Rig:
     seed: int = 0
     velocity_law: Callable[[Array], Array] | None = None
     """Distorts the load's velocity, for even orders."""
+    holes: tuple[int, ...] = ()
+    """Slots that are skipped, the command before them held; the next ask is half a period late."""
 
     def record(self, played: Experiment) -> Recording:
         """Play the experiment; one row for every slot."""
@@ -74,23 +76,28 @@ class Rig:
         asks = np.arange(schedule.slots) * SUBSTEPS
         jitter = np.abs(rng.normal(0.0, self.ask_jitter_s / step_s, schedule.slots))
         asks = asks + np.minimum(np.rint(jitter), SUBSTEPS - 1).astype(int)
+        kept = np.delete(np.arange(schedule.slots), self.holes)
+        asks[np.isin(np.arange(schedule.slots), np.array(self.holes, int) + 1)] += SUBSTEPS // 2
+        asks = asks[kept]
         command = np.concatenate([np.zeros(self.delay_slots), schedule.velocity_rad_s])
         fine_command = np.repeat(
-            np.concatenate([[0.0], command[: schedule.slots]]),
+            np.concatenate([[0.0], command[: schedule.slots][kept]]),
             np.diff(np.concatenate([[0], asks, [schedule.slots * SUBSTEPS]])),
         )
         load = play(_motor_angle(fine_command, step_s), self.gap_rad)
         if self.velocity_law is not None:
             load = np.cumsum(self.velocity_law(np.diff(load, prepend=0.0) / step_s)) * step_s
-        angle = load[asks] + rng.normal(0.0, self.noise_rad, schedule.slots)
-        return self._recording(played, angle, asks * step_s)
+        angle = load[asks] + rng.normal(0.0, self.noise_rad, kept.size)
+        return self._recording(played, angle, asks * step_s, kept)
 
-    def _recording(self, played: Experiment, angle: Array, asked_s: Array) -> Recording:
+    def _recording(
+        self, played: Experiment, angle: Array, asked_s: Array, kept: NDArray[np.intp]
+    ) -> Recording:
         schedule = played.schedule()
-        rows = np.zeros(schedule.slots, SAMPLE_DTYPE)
-        rows["slot"] = np.arange(schedule.slots)
-        rows["phase"], rows["chip"] = schedule.phase, schedule.chip
-        rows["velocity_command_rad_s"] = schedule.velocity_rad_s
+        rows = np.zeros(kept.size, SAMPLE_DTYPE)
+        rows["slot"] = kept
+        rows["phase"], rows["chip"] = schedule.phase[kept], schedule.chip[kept]
+        rows["velocity_command_rad_s"] = schedule.velocity_rad_s[kept]
         rows["asked_ns"] = np.rint(asked_s * 1e9)
         rows["device_time_us"] = np.rint(asked_s * 1e6)
         rows["motor_position_counts"] = rows["load_angle_counts"] = MISSING

@@ -156,7 +156,8 @@ def test_device_times_bring_a_jittering_run_closer_to_the_punctual_one(
     told = analyse(recording)
     assert (told.timebase, blind.timebase) == ("device", "nominal")
     punctual = analysis.identification.measured
-    errors = [np.var(run.identification.measured - punctual) for run in (told, blind)]
+    judged = told.identification.judged & blind.identification.judged
+    errors = [np.var((run.identification.measured - punctual)[judged]) for run in (told, blind)]
     assert errors[0] < 0.85 * errors[1]
     assert told.quality.ask_jitter_rms_s == pytest.approx(1e-3 * 0.853, rel=0.05)
 
@@ -180,6 +181,29 @@ def test_a_few_missing_slots_are_bridged_and_said(played: Recording, analysis: A
     assert "35 load angles were missing (20 whole slots)" in found.flags[0]
     np.testing.assert_allclose(found.kernels.c1, analysis.kernels.c1, atol=0.02)
     assert found.numbers()["vaf_fresh_order3_percent"] > 95.0
+
+
+def test_holes_in_the_run_cost_their_own_samples_and_nothing_else(analysis: Analysis) -> None:
+    whole = experiment()
+    rng = np.random.default_rng(8)
+    holes = np.sort(rng.choice(np.arange(START, whole.schedule().slots - 60), 40, replace=False))
+    found = analyse(Rig(holes=tuple(holes.tolist())).record(whole))
+    assert found.quality.missed_slots == 40
+    assert found.validation is not None
+    assert analysis.validation is not None
+    assert (
+        0.85 < found.validation.velocity.judged.mean() < 1.0
+    )  # what a hole spoils is not judged, and only that
+    for got, expected in (
+        (found.identification.vaf_order3_percent, analysis.identification.vaf_order3_percent),
+        (
+            found.validation.velocity.vaf_order3_percent,
+            analysis.validation.velocity.vaf_order3_percent,
+        ),
+    ):
+        assert got == pytest.approx(expected, abs=0.15)
+    np.testing.assert_allclose(found.kernels.c1, analysis.kernels.c1, atol=0.01)
+    assert any("count neither for the kernels" in flag for flag in found.flags)
 
 
 def test_slots_can_be_missing_where_a_phase_begins(played: Recording, analysis: Analysis) -> None:

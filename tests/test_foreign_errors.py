@@ -98,8 +98,9 @@ def test_a_map_that_does_not_fit_is_named(tmp_path: Path, plan: str, says: str) 
          r"in the map .*\"spread\".*\"first\""),
         ("t,i\n1,1\n1,1\n", 'repeated = "spread"\n' + PLAIN, "cannot be spread: the tick at 1 s .* "
          "or the only one of its run"),
-        ("t,i\n0,1\n1,nan\n", 'nan = "drop"\n' + PLAIN, "1 of 2 rows are left, .* 2 are"),
+        ("t,i\n0,1\n1,nan\n", 'nan = "drop"\n' + PLAIN, "1 of 2 rows are left, .*least 2 in one"),
         (ROWS, PLAIN + "[window]\nfrom_s = 9\n", "0 of 3 rows are left"),
+        ("t,i,n\n0,1,0\n0,1,1\n", RUNS + PLAIN, "2 of 2 rows are left, 1 in the longest run"),
         ("t,i,n\n0,1,0\n0,1,1.5\n", RUNS + PLAIN, "line 3: the run is 1.5 in column 'n'"),
         ("t,i,n\n0,1,0\n0,1,nan\n", RUNS + PLAIN, "line 3: the run is nan"),
         ("t,i,n\n0,1,0\n1,1,1\n2,1,0\n", RUNS + PLAIN, "line 4: run 0 begins a second time. Rows "

@@ -15,15 +15,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, PositiveInt
 
 from servo_bench.errors import ConfigError
-from servo_bench.excitation.msequence import m_sequence
+from servo_bench.excitation.sequences import MSequence, Periodic, RandomBinary, Sequence
 from servo_bench.files import Value, find, read_toml, validated
+
+__all__ = ["Experiment", "MSequence", "Phase", "RandomBinary", "Schedule", "Sequence"]
 
 
 class Phase(IntEnum):
@@ -33,44 +35,6 @@ class Phase(IntEnum):
     LEAD_IN = 1
     IDENTIFICATION = 2
     VALIDATION = 3
-
-
-class MSequence(Value):
-    """A binary M-sequence of velocity, +-amplitude: u = 1 - 2 s (bit 0 -> +amplitude).
-
-    `polynomial` is the characteristic polynomial in octal, highest power first, as in the paper.
-    `length` cuts or repeats the period; by default one whole period.
-    """
-
-    kind: Literal["m-sequence"] = "m-sequence"
-    polynomial: str
-    amplitude_rad_s: PositiveFloat
-    periods: PositiveInt = 1
-    length: PositiveInt | None = None
-
-    def chips(self) -> NDArray[np.int8]:
-        """The signs of one play, shape (n,), each +1 or -1. ConfigError if not primitive."""
-        period = m_sequence(self.polynomial)
-        if self.length is None:
-            return np.tile(period, self.periods)
-        return np.resize(period, self.length)
-
-
-class RandomBinary(Value):
-    """Independent signs of velocity, +-amplitude, from a seed."""
-
-    kind: Literal["random-binary"]
-    seed: int
-    amplitude_rad_s: PositiveFloat
-    length: PositiveInt
-
-    def chips(self) -> NDArray[np.int8]:
-        """The signs, shape (length,), each +1 or -1."""
-        bits = np.random.default_rng(self.seed).integers(0, 2, self.length)
-        return (1 - 2 * bits).astype(np.int8)
-
-
-Sequence = Annotated[MSequence | RandomBinary, Field(discriminator="kind")]
 
 
 class Experiment(Value):
@@ -85,7 +49,7 @@ class Experiment(Value):
     memory: PositiveInt
     standstill_s: float = Field(default=2.0, ge=0.0)
     lead_in: PositiveInt = 256
-    identification: MSequence
+    identification: Periodic
     validation: Sequence
 
     def schedule(self) -> "Schedule":
@@ -96,16 +60,14 @@ class Experiment(Value):
                 f"{self.memory}: the first samples would answer to chips that were never played. "
                 f"Give lead_in at least {self.memory}."
             )
-        chips = self.identification.chips()
-        lead_in = np.resize(chips[::-1], self.lead_in)[::-1]
-        validation = self.validation.chips()
+        chips = self.identification.velocity_rad_s()
+        validation = self.validation.velocity_rad_s()
         standstill = round(self.standstill_s / self.period_s)
-        v_identification = self.identification.amplitude_rad_s
         commands = [
             np.zeros(standstill),
-            lead_in * v_identification,
-            chips * v_identification,
-            validation * self.validation.amplitude_rad_s,
+            np.resize(chips[::-1], self.lead_in)[::-1],
+            chips,
+            validation,
         ]
         chip_index = [
             np.full(standstill, -1),

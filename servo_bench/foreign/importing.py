@@ -176,10 +176,12 @@ def _kept(
     notes += more
     found, more = rows.timed(t_s, kept, run, plan.repeated, source)
     notes += more
-    if found.rows.size < FEWEST_ROWS:
+    longest = np.unique(run[found.rows], return_counts=True)[1].max(initial=0)
+    if longest < FEWEST_ROWS:
         raise RecordingError(
-            f"{source.file}: {found.rows.size} of {run.size} rows are left, and at least "
-            f"{FEWEST_ROWS} are needed. Mend window, keep, nan or repeated in the map."
+            f"{source.file}: {found.rows.size} of {run.size} rows are left, {longest} in the "
+            f"longest run, and at least {FEWEST_ROWS} in one are needed. Mend window, keep, nan or "
+            "repeated in the map."
         )
     return found.rows, found.t_s, notes
 

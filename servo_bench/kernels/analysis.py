@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from servo_bench.errors import RecordingError
 from servo_bench.excitation.experiment import Phase
 from servo_bench.kernels.comparison import Comparison, compare
+from servo_bench.kernels.filling import extract_filled, spoilt_by
 from servo_bench.kernels.identification import (
     Identification,
     command_delay,
@@ -16,9 +17,9 @@ from servo_bench.kernels.identification import (
     response_periods,
 )
 from servo_bench.kernels.quality import RunQuality, run_quality
-from servo_bench.kernels.response import Response, Timebase, response_of
+from servo_bench.kernels.response import LARGEST_UNEVENNESS, Response, Timebase, response_of
 from servo_bench.kernels.shifts import collision_free_memory
-from servo_bench.kernels.volterra import Kernels, extract
+from servo_bench.kernels.volterra import Kernels
 from servo_bench.recording.recording import Recording
 
 Array = NDArray[np.float64]
@@ -143,8 +144,10 @@ def analyse(
     found = locate(response, octal)
     samples = _memory_of(recording, octal) if memory is None else memory
     delay = command_delay(response, found, samples)
-    periods = response_periods(response, found, samples, delay)
-    kernels = extract(periods, octal, found.amplitude_rad_s, samples, period_s=recording.period_s)
+    measured, spoilt = response_periods(response, found, samples, delay)
+    kernels, periods = extract_filled(
+        measured, spoilt, octal, found.amplitude_rad_s, samples, period_s=recording.period_s
+    )
     chips = response.command_rad_s[found.start : found.start + found.chips]
     chips = chips / found.amplitude_rad_s
     variance = float(periods.var())
@@ -155,13 +158,15 @@ def analyse(
         kernels=kernels,
         delay_periods=delay,
         timebase=response.timebase,
-        identification=compare(kernels, periods.mean(axis=0), chips, chips),
+        identification=compare(
+            kernels, periods.mean(axis=0), chips, chips, np.logical_not(spoilt.all(axis=0))
+        ),
         validation=validation,
         noise_rad_s=noise,
         noise_ceiling_percent=100.0 * (1.0 - noise**2 / variance),
         energy_percent=(float(shares[0]), float(shares[1]), float(shares[2])),
         quality=run_quality(recording),
-        flags=tuple(_flags(recording, response, found, kernels, validation)),
+        flags=tuple(_flags(recording, response, found, kernels, validation, delay=delay)),
     )
 
 
@@ -193,6 +198,7 @@ def _validation(kernels: Kernels, response: Response, delay: int) -> Validation 
         response.velocity_rad_s[first:last],
         inputs[first - delay : last - delay],
         inputs[: first - delay],
+        ~spoilt_by(response.disturbed, kernels.memory + delay)[first:last],
     )
     angle = response.angle_rad[first : last + 1]
     return Validation(
@@ -230,6 +236,8 @@ def _flags(
     found: Identification,
     kernels: Kernels,
     validation: Validation | None,
+    *,
+    delay: int,
 ) -> list[str]:
     flags = []
     if recording.cut:
@@ -237,7 +245,15 @@ def _flags(
     if response.missing_angles:
         flags.append(
             f"{response.missing_angles} load angles were missing ({response.missing_slots} whole "
-            f"slots) and were bridged by straight lines."
+            f"slots)."
+        )
+    if response.disturbed.any():
+        spoilt = spoilt_by(response.disturbed, kernels.memory + delay)
+        flags.append(
+            f"{int(response.disturbed.sum())} slots were disturbed: an angle is missing, or they "
+            f"lasted over {100 * LARGEST_UNEVENNESS:.0f} % longer or shorter than a period. They "
+            f"and the memory after them, {int(spoilt.sum())} slots, count neither for the kernels "
+            "nor in a VAF."
         )
     if kernels.periods < found.periods:
         flags.append(f"Only {kernels.periods} of {found.periods} periods could be used.")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from servo_bench.errors import FitError, RecordingError
 from servo_bench.excitation.experiment import Phase
 from servo_bench.excitation.msequence import m_sequence
+from servo_bench.kernels.filling import spoilt_by
 from servo_bench.kernels.response import LARGEST_MISSING_SHARE, Response
 from servo_bench.kernels.volterra import extract
 
@@ -85,9 +86,10 @@ def _wrong_share(response: Response, slots: slice, start: int, commands: Array) 
 
 def response_periods(
     response: Response, found: Identification, memory: int, delay_periods: int
-) -> Array:
+) -> tuple[Array, NDArray[np.bool_]]:
     """The velocity that answers each chip, in rad/s, shape (periods, N), steady state only.
 
+    With it, alike in shape, which samples a hole in the run has spoilt.
     Sample t is the slot `delay_periods` after chip t. Where the recording ends too early the
     window moves back into the lead-in. RecordingError where no whole period is left.
     """
@@ -102,9 +104,13 @@ def response_periods(
             f"({delay_periods + memory - 1}). Record to the end, with a longer lead-in."
         )
     begin = min(max(found.start + delay_periods, earliest), latest - periods * found.chips)
-    window = response.velocity_rad_s[begin : begin + periods * found.chips]
+    window = slice(begin, begin + periods * found.chips)
     first_chip = (begin - delay_periods - found.start) % found.chips
-    return np.roll(window.reshape(periods, found.chips), first_chip, axis=1)
+    spoilt = spoilt_by(response.disturbed, memory + delay_periods)
+    return (
+        np.roll(response.velocity_rad_s[window].reshape(periods, -1), first_chip, axis=1),
+        np.roll(spoilt[window].reshape(periods, -1), first_chip, axis=1),
+    )
 
 
 def command_delay(response: Response, found: Identification, memory: int) -> int:
@@ -112,7 +118,8 @@ def command_delay(response: Response, found: Identification, memory: int) -> int
 
     A drive that executes one SYNC later has 1. FitError where no lag answers at all.
     """
-    at_once = response_periods(response, found, memory, 0)
+    at_once, spoilt = response_periods(response, found, memory, 0)
+    at_once = np.where(spoilt, 0.0, at_once)
     linear = extract(at_once, found.polynomial, found.amplitude_rad_s, memory, 1)
     strength = np.abs(linear.c1)
     largest = float(strength.max())

@@ -30,13 +30,21 @@ Timebase = Literal["device", "nominal"]
 LARGEST_MISSING_SHARE = 0.01
 """Above this share of missing angles a recording is refused."""
 
+LARGEST_UNEVENNESS = 0.25
+"""A slot that lasted longer or shorter by more than this share of the period is disturbed."""
+
+SHORTEST_SLOT = 0.1
+"""Increments are divided by no less than this share of the period."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Response:
     """What was commanded and answered in every slot from the first to the last; arrays (slots,).
 
     `velocity_rad_s` has one entry less: the increment from each slot to the next. Angles that did
-    not come are bridged linearly; a slot that was skipped kept the command before it.
+    not come are bridged linearly; a slot that was skipped kept the command before it. `disturbed`,
+    of the same length, marks the increments that are not what one period of one command gives:
+    an end was bridged, or the slot lasted much longer or shorter than a period.
     """
 
     period_s: float
@@ -44,6 +52,7 @@ class Response:
     phase: NDArray[np.int64]
     angle_rad: Array
     velocity_rad_s: Array
+    disturbed: NDArray[np.bool_]
     missing_slots: int
     missing_angles: int
     timebase: Timebase
@@ -73,12 +82,15 @@ def response_of(recording: Recording) -> Response:
         np.arange(slots), places, recording["load_angle_rad"][newest[places]].astype(np.float64)
     )
     duration_s, timebase = _durations(recording, rows, slots)
+    lasted_s = duration_s if timebase == "device" else _between_asks(recording, rows, slots)
+    uneven = np.abs(lasted_s / recording.period_s - 1.0) > LARGEST_UNEVENNESS
     return Response(
         period_s=recording.period_s,
         command_rad_s=recording["velocity_command_rad_s"][newest].astype(np.float64),
         phase=_phases(recording, newest, slots),
         angle_rad=angle,
         velocity_rad_s=np.diff(angle) / duration_s,
+        disturbed=uneven | ~known_angle[1:] | ~known_angle[:-1],
         missing_slots=slots - rows.size,
         missing_angles=slots - places.size,
         timebase=timebase,
@@ -162,24 +174,31 @@ def _phases(recording: Recording, newest: NDArray[np.intp], slots: int) -> NDArr
     return phases
 
 
-def _durations(
-    recording: Recording, rows: NDArray[np.int64], slots: int
-) -> tuple[Array | float, Timebase]:
+def _durations(recording: Recording, rows: NDArray[np.int64], slots: int) -> tuple[Array, Timebase]:
     """How long each slot lasted between its two samples, by the device's clock if it tells.
 
     A device's clock may run fast or slow against the host's: its median slot is the period. A
-    slot without a time of its own, or with a senseless one, lasted one period.
+    slot without a time of its own lasted one period.
     """
     times = recording["device_time_us"] if "device_time_us" in recording else np.zeros(0, np.int64)
     neighbours = np.diff(rows) == 1
+    nominal = np.full(slots - 1, recording.period_s)
     if not times.size or (times == MISSING).mean() > LARGEST_MISSING_SHARE:
-        return recording.period_s, "nominal"
+        return nominal, "nominal"
     told = (times[1:] != MISSING) & (times[:-1] != MISSING) & neighbours
     lasted = np.diff(times)[told].astype(np.float64)
     median = float(np.median(lasted)) if lasted.size else 0.0
     if median <= 0.0:
-        return recording.period_s, "nominal"
-    duration = np.full(slots - 1, recording.period_s)
-    relative = lasted / median
-    duration[rows[:-1][told]] *= np.where((relative > 0.25) & (relative < 4.0), relative, 1.0)
+        return nominal, "nominal"
+    duration = nominal.copy()
+    duration[rows[:-1][told]] *= np.maximum(lasted / median, SHORTEST_SLOT)
     return duration, "device"
+
+
+def _between_asks(recording: Recording, rows: NDArray[np.int64], slots: int) -> Array:
+    """How long each slot lasted by the host's clock; the period where it is not told."""
+    lasted = np.full(slots - 1, recording.period_s)
+    if "asked_ns" in recording:
+        neighbours = np.diff(rows) == 1
+        lasted[rows[:-1][neighbours]] = np.diff(recording["asked_ns"])[neighbours] * 1e-9
+    return lasted

@@ -12,6 +12,7 @@ A slot whose time has passed is skipped and said, never made up. The chip index 
 """
 
 import json
+import logging
 import os
 import signal
 import sys
@@ -198,6 +199,8 @@ def run_job(job: Job, table: SlotTable) -> None:
 
 def main() -> int:
     """Entry point of the process: 0 when the rig was played and stopped, 1 with an error line."""
+    logging.getLogger("can").setLevel(logging.CRITICAL)  # what python-can and canopen log, our
+    logging.getLogger("canopen").setLevel(logging.CRITICAL)  # errors and events say in full
     job = Job.from_line(sys.stdin.readline())
     with SlotTable(job.descriptor, job.experiment.schedule().slots) as table:
 

@@ -39,19 +39,29 @@ class Scale:
     velocity_rad_s: float
 
     def of(self, per: Per) -> float:
-        """One unit of size, in the strength's SI unit."""
-        velocity = self.velocity_rad_s
-        peak_a = 2.0 * velocity * self.nominal.proportional_gain_a_s_per_rad
+        """One unit of size, in the strength's SI unit. ValueError where nothing is commanded."""
+        if per == "one":
+            return 1.0
+        if per == "gap":
+            return self.nominal.backlash_gap_rad
+        if per == "inertia":
+            return self.nominal.inertia_kg_m2
+        if self.velocity_rad_s <= 0.0:
+            raise ValueError(
+                f"an effect is sized per {per!r}, and the largest commanded velocity is "
+                f"{self.velocity_rad_s} rad/s: play an experiment that moves the axis"
+            )
+        return self._of_the_command(per)
+
+    def _of_the_command(self, per: Per) -> float:
+        peak_a = 2.0 * self.velocity_rad_s * self.nominal.proportional_gain_a_s_per_rad
         return {
-            "one": 1.0,
-            "gap": self.nominal.backlash_gap_rad,
-            "command": velocity,
-            "1/command": 1.0 / velocity,
-            "1/reversal": 0.5 / velocity,
+            "command": self.velocity_rad_s,
+            "1/command": 1.0 / self.velocity_rad_s,
+            "1/reversal": 0.5 / self.velocity_rad_s,
             "peak": peak_a,
             "1/peak": 1.0 / peak_a,
             "1/peak2": 1.0 / peak_a**2,
-            "inertia": self.nominal.inertia_kg_m2,
         }[per]
 
 

@@ -6,6 +6,8 @@
     draw(seed, "pair")                    two of the catalogue at once
     draw(seed, "none"), nothing(seed)     nothing but the nuisances: a diagnosis must find no cause
     draw(seed, "one", among=("cogging",)) out of these only
+    hide(seed, {"cogging": 5e-3})         these, so strong
+    wire_one, wire_pair, ...              the same as a rig's plant, "tests.truth.hidden:wire_one"
     record(sealed, experiment, nominal)   the experiment on that axis, as the bench would record it
     sealed.open()                         what it was
 
@@ -16,7 +18,7 @@ and no rig: whoever hands it on adds the rig that the diagnosis may see, without
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -24,6 +26,7 @@ from numpy.typing import NDArray
 
 from servo_bench.excitation.experiment import Experiment
 from servo_bench.recording.recording import Recording
+from sim_rig.plant import Plant
 from tests.truth.catalogue import (
     BY_NAME,
     IN_THE_CATALOGUE,
@@ -152,9 +155,47 @@ def draw(seed: int, kind: Kind = "gap", *, among: Sequence[str] | None = None) -
     return Sealed(HiddenTruth(kind, drawn, int(rng.integers(1 << 32))))
 
 
+def hide(seed: int, sizes: Mapping[str, float]) -> Sealed:
+    """These effects at these sizes, in the catalogue's units: for limits of detection.
+
+    The seed draws phases, choices, and nuisances. ValueError for a name that is not there.
+    """
+    unknown = sorted(set(sizes) - set(BY_NAME))
+    if unknown:
+        raise ValueError(f"no effect is called {unknown}: give names of tests.truth.catalogue")
+    rng = np.random.default_rng(seed)
+    drawn = tuple(replace(_sized(rng, BY_NAME[name]), size=size) for name, size in sizes.items())
+    kind: Kind = "none" if not drawn else "one" if len(drawn) == 1 else "pair"
+    return Sealed(HiddenTruth(kind, drawn, int(rng.integers(1 << 32))))
+
+
 def nothing(seed: int) -> Sealed:
     """Nothing wrong but what no model has."""
     return draw(seed, "none")
+
+
+ON_THE_WIRE = tuple(name for name in BY_NAME if name != "clock_skew")
+"""What can be hidden behind a bus: of clocks, only a recorder that knows the future runs late."""
+
+
+def wire_one(nominal: NominalValues, seed: int) -> Plant:
+    """`draw(seed, "one", among=ON_THE_WIRE)` as a rig's plant: "tests.truth.hidden:wire_one"."""
+    return draw(seed, "one", among=ON_THE_WIRE).plant(nominal)
+
+
+def wire_pair(nominal: NominalValues, seed: int) -> Plant:
+    """`draw(seed, "pair", among=ON_THE_WIRE)` as a rig's plant."""
+    return draw(seed, "pair", among=ON_THE_WIRE).plant(nominal)
+
+
+def wire_outside(nominal: NominalValues, seed: int) -> Plant:
+    """`draw(seed, "outside")` as a rig's plant."""
+    return draw(seed, "outside").plant(nominal)
+
+
+def wire_nothing(nominal: NominalValues, seed: int) -> Plant:
+    """`draw(seed, "none")` as a rig's plant."""
+    return draw(seed, "none").plant(nominal)
 
 
 def _drawn(rng: np.random.Generator, table: list[Hiding], number: int) -> tuple[Drawn, ...]:
@@ -198,7 +239,7 @@ def record(sealed: Sealed, experiment: Experiment, nominal: NominalValues) -> Re
     plant = sealed.plant(nominal, schedule.peak_velocity_rad_s)
     played = plant.play(schedule.velocity_rad_s, schedule.period_s)
     slot = np.arange(schedule.slots, dtype=np.int64)
-    rng = np.random.default_rng((sealed.open().noise_seed, 4))
+    rng = np.random.default_rng((sealed.open().noise_seed, 5))
     noise_counts = LOAD_ENCODER_NOISE_COUNTS * rng.standard_normal(schedule.slots)
     load_counts = _counts(played.load_angle_rad, noise_counts)
     motor_counts = _counts(played.motor_position_rad, np.zeros(schedule.slots))

@@ -1,7 +1,8 @@
 """One step of all bodies: Moreau's time stepping (half drift, kick, half drift).
 
 All bodies move by half a step; their velocities are kicked by what acts at the middle; set-valued
-friction takes what it may; they move by the other half. The current's mean over a step is exact.
+friction takes what it may; they move by the other half. The current's mean over a step is exact,
+viscous damping acts on the mean of a step's two velocities.
 """
 
 import math
@@ -47,7 +48,8 @@ def rotor_kicked(
     mean_a = target + known.lag_mean * ahead_of
     torque = driving_nm(effects, warm.torque_constant_nm_per_a, mean_a, th, w)
     forwards, backwards = friction_limits_nm(nuisances, effects, warm.coulomb_nm, th, w, torque)
-    torque += outer_nm - (nuisances.motor_viscous_nm_s_per_rad + effects.viscous_nm_s_per_rad) * w
+    drag = nuisances.motor_viscous_nm_s_per_rad + effects.viscous_nm_s_per_rad
+    torque += outer_nm
     s1, s2, s3, s4 = rotor.spring_1_nm, rotor.spring_2_nm, rotor.spring_3_nm, rotor.spring_4_nm
     if effects.presliding_rad > 0.0:
         moved, slips = h * w, effects.presliding_rad
@@ -63,6 +65,7 @@ def rotor_kicked(
     if effects.hysteresis_brake_nm > 0.0:
         brake = braked(effects, brake, h * w)
         torque -= brake
+    torque = (torque - drag * w) / (1.0 + 0.5 * per * drag)
     current = target + known.lag_decay * ahead_of
     kicked = Rotor(th, w + per * torque, current, followed, s1, s2, s3, s4, brake)
     return kicked, per * forwards, per * backwards
@@ -75,10 +78,9 @@ def coupled(known: Fixed, rotor: Driver, driver: Driver, h: float) -> tuple[floa
         return rotor.rad_s, rotor.rad_s
     torque = known.spring_nm_per_rad * (rotor.rad - driver.rad)
     torque += known.spring_nm_s_per_rad * (rotor.rad_s - driver.rad_s)
-    return (
-        rotor.rad_s - h / known.shares.rotor_kg_m2 * torque,
-        driver.rad_s + h / known.shares.driver_kg_m2 * torque,
-    )
+    per_rotor, per_driver = h / known.shares.rotor_kg_m2, h / known.shares.driver_kg_m2
+    torque /= 1.0 + 0.5 * known.spring_nm_s_per_rad * (per_rotor + per_driver)
+    return rotor.rad_s - per_rotor * torque, driver.rad_s + per_driver * torque
 
 
 @law

@@ -85,7 +85,8 @@ class TruthPlant:
         self._nuisances = scattered(seed) if nuisances is None else nuisances
         self._table = torque_table_nm(self._nuisances, self._effects)
         self._noise = np.random.default_rng((seed, 1))
-        self._telegrams = np.random.default_rng((seed, 2))
+        self._losses = np.random.default_rng((seed, 2))
+        self._jitter = np.random.default_rng((seed, 4))
         self._bit_errors = BitErrors(
             self._effects.bit_errors_per_s, np.random.default_rng((seed, 3))
         )
@@ -99,6 +100,21 @@ class TruthPlant:
     def state(self) -> State:
         """All of it, at the last whole step."""
         return self._state
+
+    @property
+    def effects(self) -> Effects:
+        """What is wrong with it."""
+        return self._effects
+
+    @property
+    def waiting(self) -> int:
+        """How many telegrams are on their way."""
+        return int(self._edge_s.size)
+
+    def put(self, state: State) -> None:
+        """Start over from this state, at time zero of its step count."""
+        self._state = state
+        self._elapsed_s = state.step * self._nuisances.step_s
 
     def advance(self, velocity_command_rad_s: float | None, duration_s: float) -> None:
         """Hold the command for `duration_s`; each call is a telegram.
@@ -151,10 +167,10 @@ class TruthPlant:
 
     def _receive(self, sent_s: NDArray[np.float64], command: NDArray[np.float64]) -> None:
         """Queue telegrams with the times at which the drive has them."""
-        effects, telegrams = self._effects, self._telegrams
+        effects = self._effects
         due_s = sent_s * (1.0 + effects.clock_skew) + effects.transport_delay_s
-        arrived = telegrams.random(due_s.size) >= effects.missed_probability
-        late_s = effects.command_jitter_s * np.abs(telegrams.standard_normal(due_s.size))
+        arrived = self._losses.random(due_s.size) >= effects.missed_probability
+        late_s = effects.command_jitter_s * np.abs(self._jitter.standard_normal(due_s.size))
         self._edge_s = np.append(self._edge_s, (due_s + late_s)[arrived])
         self._edge_rad_s = np.append(self._edge_rad_s, command[arrived])
 

@@ -16,18 +16,21 @@ VELOCITY_RAD_S = math.radians(150.0)
 PERIOD_S = 0.008
 
 
-def quiet(
-    *, nominal: NominalValues = PAPER, start_in_gap: float = 0.0, **strengths: float
-) -> TruthPlant:
+def quiet(**strengths: float) -> TruthPlant:
     """The paper's rig without friction and noise, with these effects."""
-    nuisances = QUIET._replace(start_in_gap=start_in_gap)
-    return TruthPlant(nominal, 1, NONE._replace(**strengths), nuisances)
+    return quiet_on(PAPER, **strengths)
+
+
+def quiet_on(nominal: NominalValues, **strengths: float) -> TruthPlant:
+    """The same on another rig."""
+    return TruthPlant(nominal, 1, NONE._replace(**strengths), QUIET)
 
 
 def random_commands(slots: int, seed: int = 0) -> NDArray[np.float64]:
     """Signs at random, at the paper's speed, shape (slots,)."""
     bits = np.random.default_rng(seed).integers(0, 2, slots)
-    return VELOCITY_RAD_S * (1.0 - 2.0 * bits)
+    signs: NDArray[np.float64] = 1.0 - 2.0 * bits.astype(np.float64)
+    return VELOCITY_RAD_S * signs
 
 
 def steady_current_a(plant: TruthPlant, velocity_rad_s: float, settle_s: float = 1.5) -> float:

@@ -1,4 +1,4 @@
-"""Plants for kernels to be measured on: the paper's, and four that no estimator has as its model.
+"""Plants for kernels to be measured on: the paper's, and more that no estimator has as its model.
 
     x = G(s) u,  u held over dt = 0.5 s           y sampled just before each chip acts, from rest
 
@@ -37,6 +37,8 @@ PLAYS_IN_SOFT_PLAY = 15
 SOFTNESS = 0.12
 PLAY_SUBSTEPS = 40
 CONTACT_SUBSTEPS = 400
+SERVO_PERIOD_S = 0.008
+SERVO_FREQUENCY_RAD_S = 62.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,13 +49,13 @@ class Loop:
     natural_frequency_rad_s: float = 1.0
     zero: bool = True
 
-    def stepped(self, step_s: float) -> tuple[Array, Array, Array]:
-        """z' = A z + B u over one step, and the rows that give x and dx/dt of (z1, z2, u)."""
+    def stepped(self, step_s: float) -> Array:
+        """Over one step, rows: z1, z2, then x and dx/dt; columns: z1, z2, u."""
         wn, damping = self.natural_frequency_rad_s, 2 * self.damping_ratio
         system = np.array([[0.0, 1.0, 0.0], [-(wn**2), -damping * wn, 1.0], [0.0, 0.0, 0.0]])
         whole = _exponential(system * step_s)
         row = np.array([wn**2, damping * wn if self.zero else 0.0, 0.0])
-        return whole[:2, :2].copy(), whole[:2, 2].copy(), np.vstack([row, row @ system])
+        return np.vstack([whole[:2], row, row @ system])
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +119,19 @@ def drawn_two_mass(seed: int) -> Plant:
     return lambda inputs: _pushed(inputs, loop, contact)
 
 
+def servo_angle(inputs: NDArray[np.floating], gap: float, counts_per_turn: int) -> Array:
+    """The paper's experiment: velocity through G (wn = 62.5 rad/s, 8 ms), summed, behind a play.
+
+    Velocities in degrees per second, shape (n,), to the encoder's angle before each input and
+    after the last, shape (n + 1,), in degrees, rounded down to whole counts; `gap` in degrees.
+    """
+    step_s = SERVO_PERIOD_S / PLAY_SUBSTEPS
+    model = Loop(natural_frequency_rad_s=SERVO_FREQUENCY_RAD_S).stepped(step_s)
+    angle = _integrated_play(np.ascontiguousarray(inputs, np.float64), model, gap / 2, step_s)
+    count = 360.0 / counts_per_turn
+    return np.asarray(np.floor(angle / count) * count)
+
+
 PLANTS: dict[str, Plant] = {
     "paper": paper,
     "paper_no_zero": paper_no_zero,
@@ -133,10 +148,8 @@ def _one_play() -> Array:
 def _behind_plays(inputs: NDArray[np.floating], loop: Loop, halves: Array, lag_s: float) -> Array:
     step_s = PERIOD_S / PLAY_SUBSTEPS
     forget = math.exp(-step_s / lag_s) if lag_s else 0.0
-    advance, push, rows = loop.stepped(step_s)
-    return np.asarray(
-        _plays(np.ascontiguousarray(inputs, np.float64), advance, push, rows[0], halves, forget)
-    )
+    held = np.ascontiguousarray(inputs, np.float64)
+    return np.asarray(_plays(held, loop.stepped(step_s), halves, forget))
 
 
 def _pushed(inputs: NDArray[np.floating], loop: Loop, contact: Contact) -> Array:
@@ -152,25 +165,22 @@ def _pushed(inputs: NDArray[np.floating], loop: Loop, contact: Contact) -> Array
             contact.coulomb_velocity,
         ]
     )
-    advance, push, rows = loop.stepped(step_s)
     held = np.ascontiguousarray(inputs, np.float64)
-    return np.asarray(_second_mass(held, advance, push, rows, numbers, step_s))
+    return np.asarray(_second_mass(held, loop.stepped(step_s), numbers, step_s))
 
 
 @kernel
-def _plays(
-    inputs: Array, advance: Array, push: Array, row: Array, halves: Array, forget: float
-) -> Array:
+def _plays(inputs: Array, model: Array, halves: Array, forget: float) -> Array:
     outputs = np.empty(inputs.size)
     plays = np.zeros(halves.size)
     first, second, seen = 0.0, 0.0, 0.0
     for t in range(inputs.size):
         outputs[t] = seen
         for _ in range(PLAY_SUBSTEPS):
-            moved = advance[0, 0] * first + advance[0, 1] * second + push[0] * inputs[t]
-            second = advance[1, 0] * first + advance[1, 1] * second + push[1] * inputs[t]
+            moved = model[0, 0] * first + model[0, 1] * second + model[0, 2] * inputs[t]
+            second = model[1, 0] * first + model[1, 1] * second + model[1, 2] * inputs[t]
             first = moved
-            x = row[0] * first + row[1] * second
+            x = model[2, 0] * first + model[2, 1] * second
             mean = 0.0
             for i in range(halves.size):
                 plays[i] = min(max(plays[i], x - halves[i]), x + halves[i])
@@ -180,9 +190,7 @@ def _plays(
 
 
 @kernel
-def _second_mass(
-    inputs: Array, advance: Array, push: Array, rows: Array, contact: Array, step_s: float
-) -> Array:
+def _second_mass(inputs: Array, model: Array, contact: Array, step_s: float) -> Array:
     """Velocity first, then angle (semi-implicit Euler), on steps of 1/400 of a period."""
     inertia, half_gap, stiffness, damping, viscous, coulomb, coulomb_velocity = contact
     outputs = np.empty(inputs.size)
@@ -190,20 +198,38 @@ def _second_mass(
     for t in range(inputs.size):
         outputs[t] = angle
         for _ in range(CONTACT_SUBSTEPS):
-            moved = advance[0, 0] * first + advance[0, 1] * second + push[0] * inputs[t]
-            second = advance[1, 0] * first + advance[1, 1] * second + push[1] * inputs[t]
+            moved = model[0, 0] * first + model[0, 1] * second + model[0, 2] * inputs[t]
+            second = model[1, 0] * first + model[1, 1] * second + model[1, 2] * inputs[t]
             first = moved
-            apart = rows[0, 0] * first + rows[0, 1] * second - angle
+            apart = model[2, 0] * first + model[2, 1] * second - angle
             side = 1.0 if apart > 0.0 else -1.0
             depth = side * apart - half_gap
             torque = 0.0
             if depth > 0.0:
-                driven = rows[1, 0] * first + rows[1, 1] * second + rows[1, 2] * inputs[t]
+                driven = model[3, 0] * first + model[3, 1] * second + model[3, 2] * inputs[t]
                 closing = side * (driven - velocity)
                 torque = side * max(0.0, stiffness * depth + damping * closing)
             braking = viscous * velocity + coulomb * math.tanh(velocity / coulomb_velocity)
             velocity += step_s * (torque - braking) / inertia
             angle += step_s * velocity
+    return outputs
+
+
+@kernel
+def _integrated_play(inputs: Array, model: Array, half_gap: float, step_s: float) -> Array:
+    """The angle is the trapezoidal sum of the velocity."""
+    outputs = np.zeros(inputs.size + 1)
+    first, second, angle, play, velocity = 0.0, 0.0, 0.0, 0.0, 0.0
+    for t in range(inputs.size):
+        for _ in range(PLAY_SUBSTEPS):
+            moved = model[0, 0] * first + model[0, 1] * second + model[0, 2] * inputs[t]
+            second = model[1, 0] * first + model[1, 1] * second + model[1, 2] * inputs[t]
+            first = moved
+            faster = model[2, 0] * first + model[2, 1] * second
+            angle += step_s * (velocity + faster) / 2
+            velocity = faster
+            play = min(max(play, angle - half_gap), angle + half_gap)
+        outputs[t + 1] = play
     return outputs
 
 

@@ -1,0 +1,100 @@
+"""The load behind the gap as a second mass: relative motion over one step, exactly, with events.
+
+    x'' = a - mu T,   T = side k max(0, p + d p') while p = side x - W/2 >= 0
+
+x = theta - theta_l; a relative acceleration without the contact (constant over the step),
+mu = 1/J_m + 1/J_l, k stiffness, d damping time, W gap. Off the faces x is a parabola, on one a
+damped oscillation about its own rest; the step is cut where a face is met or let go. A face that
+is let go while still pressed in follows without force. A gap of zero is a coupling: one face that
+pushes and pulls.
+"""
+
+from math import cos, exp, sin, sqrt
+
+
+def oscillate(y: float, v: float, delta: float, square: float, t: float) -> tuple[float, float]:
+    """(y, y') after t of y'' + 2 delta y' + (square + delta^2) y = 0; square may be negative."""
+    if square > 0.0:
+        rate = sqrt(square)
+        decay = exp(-delta * t)
+        c, s = decay * cos(rate * t), decay * sin(rate * t) / rate
+    elif square < 0.0:
+        rate = sqrt(-square)
+        slow, fast = exp((rate - delta) * t), exp(-(rate + delta) * t)
+        c, s = 0.5 * (slow + fast), 0.5 * (slow - fast) / rate
+    else:
+        c = exp(-delta * t)
+        s = c * t
+    return y * c + (v + delta * y) * s, v * c - ((square + delta * delta) * y + delta * v) * s
+
+
+def upward(x: float, v: float, a: float, never: float) -> float:
+    """When x + v t + a t^2 / 2 next crosses zero from below; `never` where it does not."""
+    root = v * v - 2.0 * a * x
+    if root < 0.0 or (v <= 0.0 and a <= 0.0):
+        return never
+    return max(-2.0 * x / (v + sqrt(root)) if v > 0.0 else (sqrt(root) - v) / a, 0.0)
+
+
+def meet(  # noqa: PLR0912, PLR0915, PLR0917 - compiled; one event after another
+    x: float, v: float, a: float, mu: float, k: float, d: float, gap: float, h: float
+) -> tuple[float, float]:
+    """(x, x') after h."""
+    half = 0.5 * gap
+    delta = 0.5 * mu * k * d
+    square = mu * k - delta * delta
+    if half <= 0.0:
+        rest = a / (mu * k)
+        y, v = oscillate(x - rest, v, delta, square, h)
+        return y + rest, v
+    # An eighth of a period at most, so that no release hides within a piece.
+    longest, never = 0.75 / sqrt(mu * k), 2.0 * h + 1.0
+    left, side = h, 1.0 if x >= 0.0 else -1.0
+    p = side * x - half
+    free = p < 0.0 or p + d * side * v < 0.0 or (p == 0.0 and side * v <= 0.0 >= side * a)
+    for _ in range(1000):
+        if left <= 0.0:
+            break
+        if free:
+            side = 1.0 if x >= 0.0 else -1.0
+            p, w, b = side * x - half, side * v, side * a
+            pressed = p > 0.0
+            # Pressed in, it waits for its face's force or for the way out; else for a face.
+            met = upward(p + d * w, w + d * b, b, never) if pressed else upward(p, w, b, never)
+            other = upward(-p, -w, -b, never) if pressed else upward(-p - gap, -w, -b, never)
+            t = min(met, other, left)
+            x, v = x + v * t + 0.5 * a * t * t, v + a * t
+            # Met a face; or left the one it was pressed into, for the gap; or met the other.
+            if t == met:
+                free = False
+                x = x if pressed else side * half
+            elif t == other:
+                free = pressed
+                side = side if pressed else -side
+                x = side * half
+            left -= t
+            continue
+        rest = side * a / (mu * k)
+        y0, v0 = side * x - half - rest, side * v
+        t = min(left, longest)
+        y, w = oscillate(y0, v0, delta, square, t)
+        if y + rest + d * w < 0.0:
+            low, high = 0.0, t
+            for _ in range(60):
+                force = y + rest + d * w
+                if force < 0.0:
+                    high = t
+                else:
+                    low = t
+                slope = w - d * (2.0 * delta * w + (square + delta * delta) * y)
+                if slope < 0.0:
+                    t -= force / slope
+                if not low < t < high:
+                    t = 0.5 * (low + high)
+                y, w = oscillate(y0, v0, delta, square, t)
+                if high - low < 1e-15 or abs(force) < 1e-15:
+                    break
+            free = True
+        x, v = side * (y + rest + half), side * w
+        left -= t
+    return x, v

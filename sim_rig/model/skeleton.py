@@ -1,0 +1,306 @@
+"""The rig, step after step, without any effect: what the compiled page is made from.
+
+Every line `# port NAME` is where the effects of that port are written in (see `page`). As it
+stands this is the ideal rig, and runs.
+
+Time stepping. The ideal loop is linear and is propagated exactly (see `propagator`). What effects
+change is a deviation from it: an acceleration and an integrator rate, taken at the middle of the
+step as the ideal loop and the deviations of the step before predict it (an exponential midpoint
+rule, second order, one evaluation a step). Without effects the deviations are exactly zero.
+
+    deviation a = (tau - tau_contact) / J_true - K_T i_ideal / J,   q = dz/dt - (r - omega)
+
+Transmission. With no compliance the play is rigid: y <- min(max(y, theta - W/2), theta + W/2),
+after every step and where the motor turned around within it; torques on the load reach the motor
+while it pushes against them. With compliance the load is a mass behind the gap (see `contact`).
+
+Slots are cut where a delayed command comes into force. Each piece has four parts: a look under
+the command that now holds, the first step, the other steps, and a look at the end.
+"""
+
+from math import (  # noqa: F401 - what laws may call in the page
+    atan,
+    atan2,
+    ceil,
+    copysign,
+    cos,
+    exp,
+    expm1,
+    floor,
+    hypot,
+    log,
+    sin,
+    sqrt,
+    tan,
+    tanh,
+)
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_rig.model.contact import meet
+from sim_rig.model.play import reach, share_pushed
+from sim_rig.model.propagator import propagator
+
+CLOSED, MECHANICS, MOTION = 0, 1, 2
+QUEUE = 64
+HEAD = 16
+MEMORY = HEAD + 2 * QUEUE
+
+
+def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bottom
+    rig: NDArray[np.float64],
+    parameters: NDArray[np.float64],  # noqa: ARG001 - for laws
+    state: NDArray[np.float64],
+    slot_commands_rad_s: NDArray[np.float64],
+    slot_durations_s: NDArray[np.float64],
+    given: NDArray[np.float64],
+    mode: int,
+    longest_step_s: float,
+    rows: NDArray[np.float64],
+) -> bool:
+    """Play slots from `state`, which is left at the end; False if the command queue overflowed.
+
+    rig: K_T, J, K_P, K_I, W. A command that is NaN means: power stage off. given, shape (slots, 4):
+    current and its slope (mode MECHANICS), or angle, velocity, acceleration, and its slope (mode
+    MOTION) of the motor at and after each slot's start. rows, shape (slots, 8): what is recorded
+    at each slot's end.
+    """
+    # parameters
+    # memory
+    torque_constant_nm_per_a, nominal_inertia_kg_m2 = rig[0], rig[1]
+    proportional_gain_a_s_per_rad, integral_gain_a_per_rad = rig[2], rig[3]
+    nominal_gap_rad = rig[4]
+    theta, omega, z, load, load_rate = state[0], state[1], state[2], state[3], state[4]
+    drive, clock, slot, contact_torque_nm = state[5], state[6], state[7], state[8]
+    waiting = int(state[9])
+    measured_motor_angle_rad, measured_current_a, measured_load_angle_rad = 0.0, 0.0, 0.0
+    load_velocity_rad_s = load_rate
+    complete = True
+
+    inertia_kg_m2 = nominal_inertia_kg_m2
+    # port inertia_kg_m2
+    compliance, damping, load_inertia = 0.0, 0.0, 0.0  # damping: time x compliance
+    # port transmission
+    two_masses = compliance > 0.0
+    damping_s = damping / compliance if two_masses else 0.0
+    per_load = 1.0 / load_inertia if two_masses else 0.0
+    motor_inertia = inertia_kg_m2 - load_inertia if two_masses else inertia_kg_m2
+    per_motor = 1.0 / motor_inertia
+    per_mass = per_load if mode == MOTION else per_load + per_motor
+    nominal_per_motor = 1.0 / nominal_inertia_kg_m2
+    gap = nominal_gap_rad
+    acceleration, rate, apart = 0.0, 0.0, 0.0
+
+    for k in range(slot_commands_rad_s.size):
+        slot_command_rad_s, slot_duration_s = slot_commands_rad_s[k], slot_durations_s[k]
+        # port slot_duration_s
+        command_delay_s = 0.0
+        on = slot_command_rad_s == slot_command_rad_s  # noqa: PLR0124 - NaN is off
+        if on:
+            step_s, since_s = 0.0, slot_duration_s
+            # port slot_command_rad_s
+            # port command_delay_s
+        if not on or (command_delay_s <= 0.0 and waiting == 0):
+            drive, waiting = slot_command_rad_s, 0
+        elif waiting < QUEUE:
+            due = max(command_delay_s, 0.0)
+            if waiting > 0:
+                due = max(due, state[HEAD + 2 * waiting - 2])
+            state[HEAD + 2 * waiting], state[HEAD + 2 * waiting + 1] = due, slot_command_rad_s
+            waiting += 1
+        else:
+            complete = False
+        if mode == MOTION:
+            theta, omega = given[k, 0], given[k, 1]
+        elapsed = 0.0
+        left = slot_duration_s
+        while True:
+            while waiting > 0 and state[HEAD] <= elapsed:
+                drive = state[HEAD + 1]
+                waiting -= 1
+                for j in range(2 * waiting):
+                    state[HEAD + j] = state[HEAD + j + 2]
+            piece = min(left, state[HEAD] - elapsed) if waiting > 0 else left
+            powered = drive == drive  # noqa: PLR0124 - NaN is off
+            r = drive if powered and mode == CLOSED else 0.0
+            sent = drive if powered else 0.0
+            if not powered:
+                z = 0.0
+            loop_p, loop_i = 0.0, 0.0
+            if powered and mode == CLOSED:
+                loop_p, loop_i = proportional_gain_a_s_per_rad, integral_gain_a_per_rad
+            per_a = torque_constant_nm_per_a * nominal_per_motor
+            steps = ceil(piece / longest_step_s - 1e-9)
+            h = piece / steps if steps > 0 else 0.0
+            for part in range(4):
+                # 0 look under this command, 1 first step, 2 the others, 3 look at the end
+                inner = 1 <= part <= 2
+                count = 1 if not inner else min(1, steps) if part == 1 else steps - 1
+                step_s = h if inner else 0.0
+                since_s = 0.0 if part == 0 else h if part == 2 else 0.5 * h  # noqa: F841 - for laws
+                half_s = 0.5 * step_s
+                a11, a12, a21, a22, b11, b12, b21, b22, c11, c12 = propagator(
+                    per_a * loop_p, per_a * loop_i, half_s
+                )
+                e11, e12, e21, e22, s11, s12, s21, s22, d11, d12 = propagator(
+                    per_a * loop_p, per_a * loop_i, step_s
+                )
+                for _ in range(count):
+                    # the middle of the step
+                    error = omega - r
+                    time_s = clock + elapsed + half_s  # noqa: F841 - for laws
+                    motor_angle_rad = (
+                        theta
+                        + (r * half_s + b11 * error + b12 * z)
+                        + (c11 * acceleration + c12 * rate)
+                    )
+                    motor_velocity_rad_s = (
+                        r + (a11 * error + a12 * z) + (b11 * acceleration + b12 * rate)
+                    )
+                    integral_rad = (a21 * error + a22 * z) + (b21 * acceleration + b22 * rate)
+                    if two_masses:
+                        load_angle_rad, load_velocity_rad_s = load, load_rate
+                        if step_s > 0.0:
+                            x, v = theta - load, omega - load_rate
+                            load_angle_rad, load_velocity_rad_s = meet(
+                                x, v, apart, per_mass, 1.0 / compliance, damping_s, gap, half_s
+                            )
+                            if mode != MOTION:
+                                share = per_motor / per_mass
+                                moment = x + (v + 0.5 * apart * half_s) * half_s - load_angle_rad
+                                motor_angle_rad -= share * moment
+                                integral_rad += share * moment
+                                impulse = v + apart * half_s - load_velocity_rad_s
+                                motor_velocity_rad_s -= share * impulse
+                            load_angle_rad = motor_angle_rad - load_angle_rad
+                            load_velocity_rad_s = motor_velocity_rad_s - load_velocity_rad_s
+                    else:
+                        lowest, highest = motor_angle_rad - 0.5 * gap, motor_angle_rad + 0.5 * gap
+                        load_angle_rad = min(max(load, lowest), highest)
+                        # pushed at the step's end, if not yet: its torque counts by its share
+                        ahead = 2.0 * motor_angle_rad - theta - load
+                        pushed = (motor_velocity_rad_s > 0.0 and ahead >= 0.5 * gap) or (
+                            motor_velocity_rad_s < 0.0 and ahead <= -0.5 * gap
+                        )
+                        load_velocity_rad_s = motor_velocity_rad_s if pushed else 0.0
+                    ideal_current = loop_p * (r - motor_velocity_rad_s) + loop_i * integral_rad
+                    backlash_gap_rad = nominal_gap_rad
+                    # port backlash_gap_rad
+                    gap = backlash_gap_rad
+
+                    # controller
+                    command_rad_s = sent
+                    # port command_rad_s
+                    measured_velocity_rad_s = motor_velocity_rad_s
+                    # port measured_velocity_rad_s
+                    # port integral_rad
+                    velocity_error_rad_s = command_rad_s - measured_velocity_rad_s
+                    current_demand_a = (
+                        proportional_gain_a_s_per_rad * velocity_error_rad_s
+                        + integral_gain_a_per_rad * integral_rad
+                    )
+                    if not powered:
+                        current_demand_a = 0.0
+                    current_command_a = current_demand_a
+                    # port current_command_a
+                    integral_rate_rad_s = velocity_error_rad_s
+                    # port integral_rate_rad_s
+                    current_a = current_command_a
+                    # port current_a
+                    if mode == MECHANICS:
+                        current_a = given[k, 0] + given[k, 1] * (elapsed + half_s)
+
+                    # mechanics
+                    electric_torque_nm = torque_constant_nm_per_a * current_a
+                    # port electric_torque_nm
+                    motor_torque_nm = 0.0
+                    # port motor_torque_nm
+                    load_torque_nm = 0.0
+                    # port load_torque_nm
+                    torque = electric_torque_nm + motor_torque_nm
+
+                    # transmission: what the load takes from the motor
+                    if mode == MOTION:
+                        acceleration = given[k, 2] + given[k, 3] * (elapsed + half_s)
+                    else:
+                        acceleration = (
+                            torque * per_motor
+                            - torque_constant_nm_per_a * ideal_current * nominal_per_motor
+                        )
+                    pull, late = acceleration, 0.0
+                    if two_masses:
+                        apart = acceleration if mode == MOTION else torque * per_motor
+                        apart -= load_torque_nm * per_load
+                        if step_s > 0.0:
+                            x, v = theta - load, omega - load_rate
+                            x_end, v_end = meet(
+                                x, v, apart, per_mass, 1.0 / compliance, damping_s, gap, step_s
+                            )
+                            impulse = (v + apart * step_s - v_end) / per_mass
+                            moment = (x + (v + apart * half_s) * step_s - x_end) / per_mass
+                            contact_torque_nm = impulse / step_s
+                            late = moment - impulse * half_s
+                            if mode != MOTION:
+                                pull = acceleration - contact_torque_nm * per_motor
+                    else:
+                        contact_torque_nm = 0.0
+                        if load_torque_nm != 0.0:
+                            ahead = theta - load
+                            share = share_pushed(
+                                ahead, omega, motor_velocity_rad_s, step_s, load_torque_nm, gap
+                            )
+                            contact_torque_nm = -share * load_torque_nm
+                            if mode != MOTION:
+                                acceleration -= contact_torque_nm * per_motor
+                                pull = acceleration
+                    rate = integral_rate_rad_s - (r - motor_velocity_rad_s)
+
+                    if step_s > 0.0:
+                        theta_end = (
+                            theta + (r * step_s + s11 * error + s12 * z) + (d11 * pull + d12 * rate)
+                        )
+                        omega_end = r + (e11 * error + e12 * z) + (s11 * pull + s12 * rate)
+                        integral_rad = (e21 * error + e22 * z) + (s21 * pull + s22 * rate)
+                        if two_masses:
+                            if mode != MOTION:
+                                theta_end -= late * per_motor
+                                integral_rad += late * per_motor
+                            pushed_by = (contact_torque_nm + load_torque_nm) * per_load
+                            load += (load_rate + pushed_by * half_s) * step_s + late * per_load
+                            load_rate += pushed_by * step_s
+                        else:
+                            if omega * omega_end < 0.0:
+                                turned = theta + step_s * reach(
+                                    omega, motor_velocity_rad_s, omega_end
+                                )
+                                load = min(max(load, turned - 0.5 * gap), turned + 0.5 * gap)
+                            load = min(max(load, theta_end - 0.5 * gap), theta_end + 0.5 * gap)
+                        # port integral_rad
+                        z = integral_rad if powered else 0.0
+                        theta, omega = theta_end, omega_end
+                        elapsed += step_s
+                    else:
+                        measured_motor_angle_rad = motor_angle_rad
+                        # port measured_motor_angle_rad
+                        measured_current_a = current_a
+                        # port measured_current_a
+                        measured_load_angle_rad = load_angle_rad
+                        # port measured_load_angle_rad
+            left -= piece
+            elapsed = slot_duration_s - left
+            if left <= 0.0:
+                break
+        clock += slot_duration_s
+        slot += 1.0
+        for j in range(waiting):
+            state[HEAD + 2 * j] -= slot_duration_s
+        rows[k, 0], rows[k, 1], rows[k, 2] = measured_motor_angle_rad, omega, measured_current_a
+        rows[k, 3], rows[k, 4], rows[k, 5] = measured_load_angle_rad, load, load_velocity_rad_s
+        rows[k, 6], rows[k, 7] = contact_torque_nm, z
+
+    state[0], state[1], state[2], state[3], state[4] = theta, omega, z, load, load_rate
+    state[5], state[6], state[7], state[8] = drive, clock, slot, contact_torque_nm
+    state[9] = waiting
+    # pack
+    return complete

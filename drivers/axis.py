@@ -32,6 +32,7 @@ class Sample:
     motor_position_rad: float | None = None
     motor_velocity_rad_s: float | None = None
     motor_torque_nm: float | None = None
+    motor_current_a: float | None = None
     load_angle_counts: int | None = None
     load_angle_rad: float | None = None
 

@@ -79,7 +79,7 @@ def gathered() -> Iterator[None]:
         raise _as(WireError, error) from error
     except drivers.errors.DriveError as error:
         raise _as(DriveError, error) from error
-    except sim_rig.errors.RigSettingsError as error:
+    except (sim_rig.errors.RigSettingsError, sim_rig.errors.EffectError) as error:
         raise _as(ConfigError, error) from error
     except sim_rig.errors.SimRigError as error:
         raise _as(RigError, error) from error

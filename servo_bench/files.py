@@ -38,12 +38,17 @@ def find(name: str | Path, beside: Path | None = None) -> Path:
         *(folder / name for folder in SHIPPED),
     ]
     for place in places:
-        if place.is_file():
+        if _is_file(place):
             return place.resolve()
     looked = ", ".join(str(place.absolute()) for place in dict.fromkeys(places))
-    raise ConfigError(
-        f"there is no file {name}: looked for {looked}. Give the path of a TOML file."
-    )
+    raise ConfigError(f"there is no file {name}: looked for {looked}. Correct the path.")
+
+
+def _is_file(place: Path) -> bool:
+    try:
+        return place.is_file()
+    except (OSError, ValueError):  # longer than the system takes, or with a NUL in it
+        return False
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -53,6 +58,10 @@ def read_toml(path: Path) -> dict[str, Any]:
             return tomllib.load(file)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} is not TOML: {error}. Mend that line.") from error
+    except RecursionError as error:
+        raise ConfigError(f"{path} is nested too deeply. Mend it.") from error
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read: {error.strerror}.") from error
 
 
 def validated(model: type[Model], table: dict[str, Any], source: str) -> Model:
@@ -61,10 +70,23 @@ def validated(model: type[Model], table: dict[str, Any], source: str) -> Model:
         return model.model_validate(table)
     except ValidationError as error:
         lines = [
-            f"  {'.'.join(str(part) for part in item['loc']) or '(file)'}: {item['msg']}"
+            f"  {_key(item['loc'], table)}: {item['msg']}"
             + (f", got {item['input']!r}" if item["type"] != "missing" else "")
             for item in error.errors(include_url=False)
         ]
         raise ConfigError(
-            f"{source} does not describe a {model.__name__}:\n" + "\n".join(lines)
+            f"{source} does not fit {model.__name__}, mend these keys:\n" + "\n".join(lines)
         ) from error
+
+
+def _key(place: tuple[int | str, ...], table: Any) -> str:
+    """The dotted key at a validator's `place`, without the names of union members it has tried."""
+    parts: list[str] = []
+    for depth, part in enumerate(place):
+        last = depth == len(place) - 1
+        if isinstance(table, dict) and part not in table and not last:
+            continue
+        parts.append(str(part))
+        if isinstance(table, dict):
+            table = table.get(part)
+    return ".".join(parts) or "(file)"

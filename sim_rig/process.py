@@ -24,10 +24,10 @@ from typing import IO, Any
 
 from sim_rig.canopen.busloop import RigOnBus, open_bus
 from sim_rig.errors import RigSettingsError, SimRigError
-from sim_rig.paper_plant import paper_plant
+from sim_rig.model import Model
 from sim_rig.plant import Plant
 from sim_rig.realtime import end_with_parent, run_in_real_time
-from sim_rig.settings import BusOptions, Nominal, RigSettings
+from sim_rig.settings import CANOPEN, OWN_MODEL, BusOptions, Nominal, RigSettings
 
 PRIORITY = 70
 START_TIMEOUT_S = 30.0
@@ -36,20 +36,34 @@ END_TIMEOUT_S = 5.0
 PlantFactory = Callable[[Nominal, int], Plant]
 
 
+def plant_of(settings: RigSettings) -> Plant:
+    """What moves: the rig's own model with its effects, or what a named factory makes.
+
+    Raises RigSettingsError or EffectError where there is no such thing.
+    """
+    if settings.plant == OWN_MODEL:
+        return Model.from_table(settings.nominal, settings.effects).plant(settings.seed)
+    try:
+        return plant_factory(settings.plant)(settings.nominal, settings.seed)
+    except (TypeError, ValueError) as error:
+        raise RigSettingsError(
+            f"plant = {settings.plant!r} makes no plant: {error}. "
+            "Name a factory that takes (nominal, seed)."
+        ) from error
+
+
 def plant_factory(name: str) -> PlantFactory:
-    """What `settings.plant` names: "paper", or "package.module:factory" to import.
+    """What "package.module:factory" names, imported.
 
     Raises RigSettingsError where there is nothing callable of that name.
     """
-    if name == "paper":
-        return paper_plant
     module, _, attribute = name.partition(":")
     try:
         factory = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
         raise RigSettingsError(
             f"plant = {name!r} cannot be loaded: {error}. "
-            'Name "paper", or "package.module:factory" that Python can import from here.'
+            f'Name "{OWN_MODEL}", or "package.module:factory" that Python can import from here.'
         ) from error
     if not callable(factory):
         raise RigSettingsError(f"plant = {name!r} is not callable with (nominal, seed).")
@@ -69,7 +83,10 @@ def serve(
     both nodes have booted. Signals are heard in the main thread only.
     Raises RigSettingsError for settings that cannot be, SimRigError when the bus fails.
     """
-    plant = plant_factory(settings.plant)(settings.nominal, settings.seed)
+    plant = plant_of(settings)
+    if settings.protocol != CANOPEN:
+        _serve_modbus(settings, plant, ready, stop)
+        return
     with ExitStack() as leaving:
         ended = leaving.enter_context(_ending_by_signal())
         bus_options = leaving.enter_context(_hosted(settings))
@@ -81,6 +98,23 @@ def serve(
             ready(dict(bus_options))
         run_in_real_time(PRIORITY)
         loop.run(lambda: ended() or stop())
+
+
+def _serve_modbus(
+    settings: RigSettings,
+    plant: Plant,
+    ready: Callable[[dict[str, Any]], None] | None,
+    stop: Callable[[], bool],
+) -> None:
+    from sim_rig.modbus.serve import serve as serve_modbus  # noqa: PLC0415 - costs 0.3 s to import
+
+    def begun(bus: dict[str, Any]) -> None:
+        run_in_real_time(PRIORITY)  # first: it takes longer than a drive may to answer
+        if ready is not None:
+            ready(bus)
+
+    with _ending_by_signal() as ended:
+        serve_modbus(settings, plant, begun, lambda: ended() or stop())
 
 
 @contextmanager
@@ -183,7 +217,9 @@ def _first_words(
     words = process.stdout.readline() if readable else b""
     if not words:
         _end(process)
-        said = _last_words(errors) or f"it said nothing within {START_TIMEOUT_S:g} s"
+        ended = f"it ended with status {process.returncode}"
+        silent = f"it said nothing within {START_TIMEOUT_S:g} s"
+        said = _last_words(errors) or (ended if readable else silent)
         raise SimRigError(f"The {name} did not start: {said}")
     address: dict[str, Any] = json.loads(words)
     return address
@@ -209,7 +245,8 @@ def settings_from_json(line: str) -> RigSettings:
     try:
         table: Mapping[str, Any] = json.loads(line)
         nominal = Nominal(**table["nominal"])
-        return RigSettings(**{**table, "nominal": nominal})
+        faults = tuple(table.get("faults", ()))
+        return RigSettings(**{**table, "nominal": nominal, "faults": faults})
     except (ValueError, TypeError, KeyError) as error:
         raise RigSettingsError(
             f"The rig's settings are one line of JSON with the fields of RigSettings: {error!r}"

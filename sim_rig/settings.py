@@ -2,12 +2,19 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from sim_rig.errors import RigSettingsError
+from sim_rig.faults.catalogue import parse
 
 BusOptions = Mapping[str, str | int | float | bool]
 """The keyword arguments of `can.Bus`: interface, channel, and what that interface wants."""
+
+CANOPEN = "canopen"
+PROTOCOLS = (CANOPEN, "modbus-tcp", "modbus-rtu")
+
+OWN_MODEL = "model"
+"""The plant that is the rig's own model."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,10 +71,14 @@ class Nominal:
 class RigSettings:
     """The software rig on its wire.
 
-    `plant` names what moves: "paper" for the rig's own model, or "package.module:factory", a
-    callable (nominal, seed) -> Plant, for somebody else's. Encoder noise is white, per sample,
+    `plant` names what moves: "model" for the rig's own, with the `effects` that `[effects.NAME]`
+    tables give it, or "package.module:factory", a callable (nominal, seed) -> Plant, for somebody
+    else's. Encoder noise is white, per sample,
     before quantisation. `host_hub` starts the TCP bus hub that a socketcand bus on loopback needs.
-    `rated_torque_nm` is what 0x6077 is per mille of (0x6076).
+    `rated_torque_nm` is what 0x6077 is per mille of (0x6076). `faults` are lines as in
+    `sim_rig.faults.catalogue`. `protocol` is the wire: on Modbus the drive's node id is its unit
+    id, the load's encoder hangs on the drive, and `bus` is host and port, or baud_rate, parity,
+    stop_bits, and turnaround_s of the pty that the rig opens.
 
     Raises RigSettingsError where a value makes no sense.
     """
@@ -78,14 +89,27 @@ class RigSettings:
     motor_counts_per_revolution: int
     encoder_node_id: int
     load_counts_per_revolution: int
-    plant: str = "paper"
+    plant: str = OWN_MODEL
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     seed: int = 0
     load_encoder_noise_rad: float = 0.0
     motor_encoder_noise_rad: float = 0.0
     rated_torque_nm: float = 0.64
     host_hub: bool = True
+    faults: tuple[str, ...] = ()
+    protocol: str = CANOPEN
 
     def __post_init__(self) -> None:
+        if self.protocol not in PROTOCOLS:
+            raise RigSettingsError(
+                f"protocol = {self.protocol!r}: the software rig speaks {', '.join(PROTOCOLS)}."
+            )
+        if self.effects and self.plant != OWN_MODEL:
+            raise RigSettingsError(
+                f"effects are given for plant = {self.plant!r}: only {OWN_MODEL!r} has them."
+            )
+        for line in self.faults:
+            parse(line)
         nodes = (self.drive_node_id, self.encoder_node_id)
         if not all(1 <= node <= 127 for node in nodes) or nodes[0] == nodes[1]:
             raise RigSettingsError(

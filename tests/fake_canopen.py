@@ -197,7 +197,7 @@ class FakeNode:
 
     def on_sync(self) -> None:
         self.sample()
-        for number in range(2):
+        for number in range(3):
             cob_id = self.objects.get((0x1800 + number, 1))
             if cob_id is not None and not cob_id.value >> 31:
                 self.world.deliver(cob_id.value & 0x7FF, self._packed(0x1A00 + number))
@@ -269,6 +269,8 @@ class FakeDrive(FakeNode):
     dc_link: bool = True
     follows: bool = True
     stays_in_quick_stop: bool = False
+    turns_in_quick_stop: bool = False
+    coasts: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -301,8 +303,11 @@ class FakeDrive(FakeNode):
     def sample(self) -> None:
         elapsed_s = (self.world.now_ns - self._sampled_ns) * 1e-9
         self._sampled_ns = self.world.now_ns
-        moving = self.enabled and self.follows
-        self[0x606C, 0] = self[0x60FF, 0] if moving else 0
+        stopping = self.turns_in_quick_stop and self[0x6041, 0] & 0x6F == 0x07
+        if self.enabled and self.follows:
+            self[0x606C, 0] = self[0x60FF, 0]
+        elif not (stopping or self.coasts):
+            self[0x606C, 0] = 0
         self._position += self[0x606C, 0] * elapsed_s
         self[0x6064, 0] = (round(self._position) + (1 << 31)) % (1 << 32) - (1 << 31)
         if (0x1013, 0) in self.objects:

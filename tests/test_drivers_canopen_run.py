@@ -10,6 +10,7 @@ import pytest
 
 from drivers.axis import Sample, WireEvent
 from drivers.canopen.master import CanopenAxis
+from drivers.canopen.profile import Stopping, generic
 from drivers.errors import SettingsError, WireError
 from tests.contract_axis import check_axis
 from tests.fake_canopen import FakeRig
@@ -88,13 +89,39 @@ def test_each_command_goes_out_before_its_sync_and_leaving_begins_with_quick_sto
     assert rig.nothing_enabled()
 
 
-def test_a_drive_that_stays_in_quick_stop_is_powered_off_after_the_timeout(rig: FakeRig) -> None:
+@pytest.mark.parametrize(("option", "least_s", "most_s"), [(2, 0.5, 0.6), (6, 0.2, 0.3)])
+def test_a_drive_that_stays_in_quick_stop_is_powered_off(
+    rig: FakeRig, option: int, least_s: float, most_s: float
+) -> None:
+    """After the timeout; where it stays by its own option, once it has stood for a while."""
     rig.drive.stays_in_quick_stop = True
+    stopping = Stopping(quick_stop_option=option)
+    profile = generic().model_copy(update={"stopping": stopping})
+    with rig.axis(stop_timeout_s=0.5, profile=profile) as axis:
+        Run(rig, axis).play(3)
+        begun_ns = rig.world.now_ns
+    assert least_s * 1e9 <= rig.world.now_ns - begun_ns < most_s * 1e9
+    assert rig.nothing_enabled()
+
+
+def test_a_drive_that_stays_in_quick_stop_turning_is_powered_off_after_the_timeout(
+    rig: FakeRig,
+) -> None:
+    rig.drive.stays_in_quick_stop = rig.drive.turns_in_quick_stop = True
     with rig.axis(stop_timeout_s=0.5) as axis:
         Run(rig, axis).play(3)
         begun_ns = rig.world.now_ns
     assert 0.5e9 <= rig.world.now_ns - begun_ns < 0.6e9
     assert rig.nothing_enabled()
+
+
+def test_a_statusword_that_says_off_is_not_believed_while_the_shaft_turns(rig: FakeRig) -> None:
+    rig.drive.coasts = True
+    with pytest.raises(WireError, match=r"off, but its position says.*turns at (1|0\.99\d*) rad/s"):
+        session(rig)
+    words = [data[0] for cob_id, data in rig.world.sent if cob_id == 0x201]
+    assert words.count(0x02) > 100, "quick stop, for as long as it turns"
+    assert rig.world.closed == 1
 
 
 def test_the_load_angle_runs_on_over_the_end_of_the_encoder(rig: FakeRig) -> None:

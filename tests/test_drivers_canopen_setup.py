@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from drivers.canopen.line import open_bus
-from drivers.canopen.setup import interpolation_time
+from drivers.canopen.timing import interpolation_time
 from drivers.errors import DriveError, DriverError, SettingsError, WireError
 from tests.fake_canopen import U16, U32, Entry, FakeRig
 

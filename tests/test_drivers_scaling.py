@@ -69,10 +69,10 @@ def test_unwrapping_follows_any_motion_below_half_a_modulus(
 def test_angle_and_velocity_have_the_same_sign_and_gear(
     counts: int, gear: float, direction: int
 ) -> None:
-    scale = drive_scale(counts, gear, direction, INCREMENTS_PER_SECOND, 640)
+    scale = drive_scale(counts, gear, direction, INCREMENTS_PER_SECOND, rated_torque_nm=0.64)
     assert scale.rad_per_count == pytest.approx(scale.rad_s_per_digit)
     assert scale.rad_per_count * counts * gear == pytest.approx(direction * 2 * math.pi)
-    assert scale.nm_per_permille == pytest.approx(direction * 0.00064)
+    assert scale.nm_per_digit == pytest.approx(direction * 0.00064)
 
 
 def test_a_ratio_that_differs_shows_both_figures() -> None:

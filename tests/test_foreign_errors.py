@@ -28,7 +28,7 @@ RUNS = '[runs]\ncolumn = "n"\n'
 @pytest.mark.parametrize(
     ("plan", "says"),
     [
-        ("", r"Map:\s+channel: Field required"),
+        ("", r"Map, mend these keys:\s+channel: Field required"),
         ("channel = []", "channel: .*at least 1"),
         (PLAIN + "[file]\ncolour = 1", "file.colour: Extra inputs are not permitted"),
         ("= 3", "is not TOML"),
@@ -59,7 +59,7 @@ RUNS = '[runs]\ncolumn = "n"\n'
          r"files with t, i, r\. Give the map of this file"),
         (PLAIN + '[file]\ndelimiter = "ab"', "cannot be split at 'ab' .*Give one character"),
         (PLAIN + '[file]\nencoding = "klingon"', "there is no encoding 'klingon'. Give utf-8"),
-        (PLAIN + "[plant]\ninertia_kg_m2 = -1", r"ForeignPlant:\s+inertia_kg_m2: .*got -1"),
+        (PLAIN + "[plant]\ninertia_kg_m2 = -1", r"mend these keys:\s+inertia_kg_m2: .*got -1"),
         (PLAIN + "[plant]\ncolour = 1", "colour: Extra inputs"),
         (PLAIN + '[plant]\ninertia_kg_m2 = { from = "J" }', "kg_m2 comes from 'J' .* no such"),
     ],

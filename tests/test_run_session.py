@@ -17,6 +17,7 @@ from servo_bench.errors import BenchError, ConfigError, DriveError, LimitError, 
 from servo_bench.excitation.experiment import Experiment, MSequence, Phase, RandomBinary
 from servo_bench.recording.mcap_file import load
 from servo_bench.rig import RigConfig, load_rig
+from servo_bench.run import session
 from servo_bench.run.session import Status, run
 from sim_rig.process import spawn
 
@@ -104,6 +105,8 @@ def test_a_run_records_what_it_played_and_leaves_the_rig_standing(
     followed_rad = recording["motor_position_rad"] - recording["motor_position_rad"][0]
     assert np.ptp(led_rad) > 0.1
     assert np.abs(followed_rad - led_rad).max() < 2.0 * 2.0 / 62.5  # 2 V / wn
+    # two frames on one bus do not come at the same instant
+    assert (recording["encoder_latency_s"] != recording["drive_latency_s"]).all()
     still = recording["load_angle_rad"][recording["phase"] == Phase.STANDSTILL]
     assert np.ptp(still[np.isfinite(still)]) == 0.0
     assert_standing(rig)
@@ -181,21 +184,61 @@ def until_stopped(bus: can.BusABC, rig: RigConfig, within_s: float = 3.0) -> Non
         assert monotonic_ns() < until_ns, f"the drive was still moving after {within_s} s"
 
 
+def signal_bus_process(number: signal.Signals) -> None:
+    """Signal the bus loop of the run that this process plays."""
+    children = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
+    for child in children:
+        if b"servo_bench.run.busloop" in Path(f"/proc/{child}/cmdline").read_bytes():
+            os.kill(int(child), number)
+
+
 def test_kill_9_of_the_bus_process_is_named_and_the_drive_stops_by_itself(
     rig: RigConfig, tmp_path: Path
 ) -> None:
-    def kill() -> None:
-        children = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
-        for child in children:
-            if b"servo_bench.run.busloop" in Path(f"/proc/{child}/cmdline").read_bytes():
-                os.kill(int(child), signal.SIGKILL)
-
+    kill = stop_after(80, lambda: signal_bus_process(signal.SIGKILL))
     with pytest.raises(WireError, match="killed by SIGKILL"):
-        run(experiment(30.0), rig, tmp_path / "run.mcap", progress=stop_after(80, kill))
+        run(experiment(30.0), rig, tmp_path / "run.mcap", progress=kill)
     assert len(load(tmp_path / "run.mcap")) >= 80
     with can.Bus(**rig.bus) as bus:
         until_stopped(bus, rig)
     assert_standing(rig)
+
+
+def test_a_bus_process_that_hangs_is_ended_when_the_operator_stops(
+    rig: RigConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(session, "STOP_GRACE_S", 0.1)
+    drive = rig.drive.model_copy(update={"enable_timeout_s": 0.5, "stop_timeout_s": 0.5})
+    asked: list[bool] = []
+
+    def hang() -> None:
+        signal_bus_process(signal.SIGSTOP)
+        asked.append(True)
+
+    with pytest.raises(WireError, match="killed by SIGKILL"):
+        run(
+            experiment(30.0),
+            rig.model_copy(update={"drive": drive}),
+            tmp_path / "run.mcap",
+            progress=stop_after(80, hang),
+            stop=lambda: bool(asked),
+        )
+    assert len(load(tmp_path / "run.mcap")) >= 80
+    with can.Bus(**rig.bus) as bus:
+        until_stopped(bus, rig)
+
+
+def test_a_stop_before_the_first_slot_leaves_no_file(rig: RigConfig, tmp_path: Path) -> None:
+    summary = run(experiment(), rig, tmp_path / "run.mcap", stop=lambda: True)
+    assert (summary.played, summary.stopped_early) == (0, True)
+    assert list(tmp_path.iterdir()) == []
+    assert_standing(rig)
+
+
+def test_a_bus_process_whose_session_has_died_before_it_began_does_nothing() -> None:
+    loop = [sys.executable, "-m", "servo_bench.run.busloop", str(os.getpid() + 1)]
+    ended = subprocess.run(loop, input="a job", capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", "")
 
 
 def test_leaving_a_limit_stops_the_rig_and_keeps_the_recording(

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim_rig.canopen.cia402 import State, next_state
+from sim_rig.model import Model
 from sim_rig.plant import PlantOutputs
-from sim_rig.simulation import simulate
 from tests.wire import (
     COUNTS,
     DRIVE,
@@ -184,7 +184,7 @@ def test_cyclic_velocity_acts_from_its_sync_and_is_sampled_before() -> None:
         load.append(angle)
         stamps.append(rig.now_us)
         rig.now_us += us
-    truth = simulate(NOMINAL, commands * RAD, durations_us * 1e-6)
+    truth = Model(NOMINAL).simulate(commands * RAD, durations_us * 1e-6)
     assert np.abs(np.array(motor) * RAD - truth.motor_angle_rad).max() <= 0.5001 * RAD
     wrapped = (np.array(load) + 2**27) % 2**28 - 2**27
     assert np.abs(wrapped * RAD - truth.load_angle_rad).max() <= 0.5001 * RAD

@@ -12,7 +12,7 @@ from sim_rig.canopen.busloop import BusClock
 from sim_rig.canopen.machine import CLOCK_JUMP_US, Machine
 from sim_rig.canopen.objects import load_dictionary
 from sim_rig.errors import RigSettingsError
-from sim_rig.paper_plant import PaperPlant
+from sim_rig.model import Model
 from sim_rig.plant import PlantOutputs
 from tests.wire import (
     COUNTS,
@@ -326,7 +326,7 @@ def test_the_cyclic_timer_is_the_event_timer() -> None:
 
 
 def test_the_machine_plays_each_microsecond_once() -> None:
-    plant = PaperPlant(NOMINAL)
+    plant = Model(NOMINAL).plant()
     machine = Machine(plant)
     played: list[int] = []
     machine.driven_by(played.append)

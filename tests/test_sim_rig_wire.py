@@ -7,14 +7,15 @@ import struct
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 
 import canopen
 import numpy as np
 import pytest
 
 from sim_rig.errors import RigSettingsError, SimRigError
-from sim_rig.process import SpawnedRig, plant_factory, settings_from_json
-from sim_rig.simulation import simulate
+from sim_rig.model import Model
+from sim_rig.process import SpawnedRig, settings_from_json
 from tests.wire import (
     COUNTS,
     DRIVE,
@@ -24,6 +25,7 @@ from tests.wire import (
     MASTER,
     NOMINAL,
     RPDO,
+    SETTINGS,
     SYNC,
     PlainMaster,
     spawned,
@@ -101,7 +103,7 @@ def test_a_run_over_the_wire_is_the_simulation_of_its_sync_times(master: PlainMa
         load.append((angle + 2**27) % 2**28 - 2**27)
         times_us.append(stamp)
     durations_us = np.diff(np.array(times_us, np.uint32)).astype(float)
-    truth = simulate(NOMINAL, commands[:-1] * RAD, durations_us * 1e-6)
+    truth = Model(NOMINAL).simulate(commands[:-1] * RAD, durations_us * 1e-6)
     assert np.abs(np.array(motor[:-1]) * RAD - truth.motor_angle_rad).max() <= 0.5001 * RAD
     assert np.abs(np.array(load[:-1]) * RAD - truth.load_angle_rad).max() <= 0.5001 * RAD
     assert durations_us.sum() > 0
@@ -238,6 +240,7 @@ def test_settings_are_read_or_refused(line: str) -> None:
         settings_from_json(line)
 
 
-def test_the_papers_plant_has_a_name() -> None:
-    plant = plant_factory("paper")(NOMINAL, 0)
-    assert plant.outputs().load_angle_rad == 0.0
+def test_effects_belong_to_the_rigs_own_model() -> None:
+    gravity = {"gravity_imbalance": {"torque_nm": 0.01}}
+    with pytest.raises(RigSettingsError, match="only 'model' has them"):
+        replace(SETTINGS, plant="tests.truth.toy_plant:make", effects=gravity)

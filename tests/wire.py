@@ -14,7 +14,7 @@ from typing import Any, Self
 import can
 
 from sim_rig.canopen.rig import SYNC, Rig
-from sim_rig.paper_plant import PaperPlant
+from sim_rig.model import Model
 from sim_rig.plant import Plant
 from sim_rig.process import SpawnedRig, spawn
 from sim_rig.settings import Nominal, RigSettings
@@ -139,7 +139,7 @@ class LocalRig:
 def local_rig(plant: Plant | None = None, **changes: Any) -> LocalRig:
     """A rig in this process; `changes` are fields of RigSettings."""
     settings = replace(SETTINGS, **changes)
-    return LocalRig(plant or PaperPlant(settings.nominal), settings)
+    return LocalRig(plant or Model(settings.nominal).plant(), settings)
 
 
 class PlainMaster:

@@ -7,6 +7,7 @@ settled (come, or given up); samples leave in slot order.
 
 import math
 import struct
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -18,6 +19,8 @@ from drivers.canopen.line import Line
 from drivers.canopen.matcher import Matcher
 from drivers.canopen.node import EMERGENCY, HEARTBEAT, OPERATIONAL, SDO_RESPONSE, SYNC, Node
 from drivers.canopen.pdo import Layout
+from drivers.canopen.plausible import Plausibility
+from drivers.canopen.profile import POSITION, STATUSWORD, TIME_STAMP, TORQUE, VELOCITY, Address
 from drivers.canopen.scaling import Unwrapper
 from drivers.canopen.settings import CanopenSettings
 from drivers.canopen.setup import DriveLink, EncoderLink
@@ -25,6 +28,8 @@ from drivers.canopen.watch import Watch
 from drivers.errors import SettingsError
 
 Values = tuple[int, ...]
+_Place = tuple[int, int]
+"""Which of the streams, and where in its values."""
 _FLOOD = 1000
 """Frames taken in one call at most, so that a babbling bus cannot hold the loop."""
 
@@ -58,7 +63,8 @@ class Cycle:
     """Commands and samples of one axis that is set up. `controlword` goes out with every ask.
 
     `statusword` is the last that came, at `statusword_ns`; while `guarded`, one that is not
-    operation enabled is an event. Raises `drivers.errors.WireError` when the bus fails.
+    operation enabled is an event. `motor_velocity_rad_s` is from the last two positions, None where
+    one of them did not come. Raises `drivers.errors.WireError` when the bus fails.
     """
 
     def __init__(
@@ -73,19 +79,26 @@ class Cycle:
         self.statusword: int | None = None
         self.statusword_ns = 0
         self.guarded = False
+        self.motor_velocity_rad_s: float | None = None
         self._line = line
         self._bus = line.bus
         self._now_ns = line.clock.now_ns
         self._watch = watch
         self._drive = drive
         self._timeout_s = settings.answer_timeout_s
+        self._command_every = settings.command_every
+        self._last_block = -1
         self._digits_per_rad_s = 1.0 / drive.scale.rad_s_per_digit
+        self._period_s = settings.period_s
+        self._commanded_rad = 0.0
+        self._commanded: deque[float] = deque()  # at each ask that has not settled
+        self._plausible = Plausibility(settings.stuck_travel_rad, drive.node.name, self._cannot_be)
         self._prepare_frames(settings)
         self._prepare_streams(encoder, settings)
         self._prepare_decoding(encoder, settings)
 
     def _prepare_frames(self, settings: CanopenSettings) -> None:
-        command = self._drive.command
+        command = self._drive.mapping.command
         self._pack_command = command.codec.pack_into
         self._command = _frame(command.cob_id, bytes(command.codec.size))
         self._sync = _frame(SYNC, b"")
@@ -98,26 +111,35 @@ class Cycle:
     def _prepare_streams(self, encoder: EncoderLink | None, settings: CanopenSettings) -> None:
         timeout_ns = round(settings.answer_timeout_s * 1e9)
         drive, watch = self._drive, self._watch
-        self._state = _Stream(drive.node.name, drive.state, timeout_ns, watch)
-        self._motion: _Stream | None = None
-        self._position: _Stream | None = None
-        if drive.motion:
-            self._motion = _Stream(drive.node.name, drive.motion, timeout_ns, watch)
+        layouts = [(drive.node.name, layout) for layout in drive.mapping.answers]
         if encoder:
-            self._position = _Stream(encoder.node.name, encoder.position, timeout_ns, watch)
-        self._streams = tuple(s for s in (self._state, self._motion, self._position) if s)
+            layouts.append((encoder.node.name, encoder.position))
+        self._streams = tuple(_Stream(name, it, timeout_ns, watch) for name, it in layouts)
         self._matchers = tuple(stream.matcher for stream in self._streams)
-
         self._handlers: dict[int, Callable[[bytearray, int], Any]] = {
-            drive.state.cob_id: self._on_state
+            layout.cob_id: stream.on_frame
+            for stream, (_, layout) in zip(self._streams, layouts, strict=True)
         }
-        if drive.motion and self._motion:
-            self._handlers[drive.motion.cob_id] = self._motion.on_frame
-        if encoder and self._position:
-            self._handlers[encoder.position.cob_id] = self._position.on_frame
+        self._state_at, self._statusword_at = self._required(STATUSWORD)
+        self._state = self._streams[self._state_at]
+        self._handlers[drive.mapping.answers[self._state_at].cob_id] = self._on_state
         self._supervise(drive.node, sends_heartbeat=drive.sends_heartbeat)
         if encoder:
             self._supervise(encoder.node, sends_heartbeat=encoder.sends_heartbeat)
+
+    def _where(self, address: Address | None) -> _Place | None:
+        """In which of the drive's answers an object comes, and at which place there."""
+        if address is not None:
+            for stream, layout in enumerate(self._drive.mapping.answers):
+                place = layout.place(address)
+                if place is not None:
+                    return stream, place
+        return None
+
+    def _required(self, address: Address) -> _Place:
+        place = self._where(address)
+        assert place is not None  # noqa: S101 - no profile without it
+        return place
 
     def _supervise(self, node: Node, *, sends_heartbeat: bool) -> None:
         watch, name = self._watch, node.name
@@ -128,23 +150,34 @@ class Cycle:
             watch.expect_heartbeat(name, self._now_ns())
 
     def _prepare_decoding(self, encoder: EncoderLink | None, settings: CanopenSettings) -> None:
-        drive = self._drive
-        self._unwrap_motor = Unwrapper(1 << len(drive.node.variable(0x6064)))
-        self._torque_at = drive.state.place(0x6077)
-        self._velocity_at = drive.motion.place(0x606C) if drive.motion else None
-        self._time_at = drive.motion.place(0x1013) if drive.motion else None
-        self._encoder_time_at: int | None = None
+        drive, mapping = self._drive, self._drive.mapping
+        self._position: tuple[int | None, int] = None, 0
+        self._motor_at = self._required(POSITION)
+        self._unwrap_motor = Unwrapper(1 << len(drive.node.variable(*POSITION)))
+        self._torque_at = self._where(TORQUE)
+        self._velocity_at = self._where(VELOCITY)
+        self._current_at = self._where(mapping.current)
+        self._time_at = self._where(TIME_STAMP)
+        self._load_at = self._where(mapping.load)
+        load = settings.encoder or settings.drive.second_encoder
+        modulus = encoder.modulus if encoder else 1 << 32
+        if encoder:
+            self._load_at = len(self._streams) - 1, 0
+            time_place = encoder.position.place(TIME_STAMP)
+            if self._time_at is None and time_place is not None:
+                self._time_at = len(self._streams) - 1, time_place
+        elif mapping.load:
+            modulus = 1 << len(drive.node.variable(*mapping.load))
+        self._unwrap_load = Unwrapper(modulus)
         self._rad_per_load_count = 0.0
-        if encoder and settings.encoder:
-            self._unwrap_load = Unwrapper(encoder.modulus)
-            if self._time_at is None:
-                self._encoder_time_at = encoder.position.place(0x1013)
-            self._rad_per_load_count = (
-                settings.encoder.direction * 2.0 * math.pi / settings.encoder.counts_per_revolution
-            )
+        if load is not None:
+            self._rad_per_load_count = load.direction * 2.0 * math.pi / load.counts_per_revolution
 
     def ask(self, velocity_rad_s: float, slot: int) -> int:
-        """Send controlword and velocity, then SYNC; returns the time just before the SYNC."""
+        """Send controlword and velocity, then SYNC; returns the time just before the SYNC.
+
+        Of `command_every` slots only the first sends a command; the master's own, below 0, all.
+        """
         try:
             digits = round(velocity_rad_s * self._digits_per_rad_s)
             self._pack_command(self._command.data, 0, self.controlword, digits)
@@ -154,7 +187,10 @@ class Cycle:
                 f"(0x60FF): {error}. Lower the amplitude."
             ) from error
         try:
-            self._bus.send(self._command)
+            block = slot // self._command_every
+            if slot < 0 or block != self._last_block:
+                self._bus.send(self._command)
+                self._last_block = block
             asked_ns = self._now_ns()
             self._bus.send(self._sync)
             if asked_ns >= self._next_heartbeat_ns:
@@ -164,6 +200,8 @@ class Cycle:
             raise self._line.broken(error) from error
         for matcher in self._matchers:
             matcher.ask(slot, asked_ns)
+        self._commanded.append(self._commanded_rad)
+        self._commanded_rad += velocity_rad_s * self._period_s
         return asked_ns
 
     def receive(self, until_ns: int) -> None:
@@ -185,6 +223,21 @@ class Cycle:
             else:
                 look_ns = self._now_ns()
 
+    def latencies_s(self, slot: int) -> dict[str, float]:
+        """Ask once at velocity 0 and wait for all: how late each node's last answer came, in s.
+
+        A node that does not answer within the timeout is left out. For a drive that is still off.
+        """
+        asked_ns = self.ask(0.0, slot)
+        self.receive(asked_ns + round(self._timeout_s * 1e9))
+        self.samples()
+        late_s: dict[str, float] = {}
+        for stream in self._streams:
+            if stream.last_answer_ns > asked_ns:
+                took_s = (stream.last_answer_ns - asked_ns) * 1e-9
+                late_s[stream.name] = max(took_s, late_s.get(stream.name, 0.0))
+        return late_s
+
     def _read(self, timeout_s: float) -> can.Message | None:
         try:
             return self._bus.recv(timeout_s)
@@ -198,7 +251,10 @@ class Cycle:
         return False
 
     def _dispatch(self, frame: can.Message, now_ns: int) -> None:
-        if frame.is_error_frame or frame.is_remote_frame:
+        if frame.is_error_frame:
+            self._watch.on_error_frame(frame.arbitration_id, frame.data, now_ns)
+            return
+        if frame.is_remote_frame:
             return
         cob_id = frame.arbitration_id
         handler = self._handlers.get(cob_id)
@@ -211,7 +267,7 @@ class Cycle:
         values = self._state.on_frame(data, now_ns)
         if values is None:
             return
-        self.statusword = statusword = values[0]
+        self.statusword = statusword = values[self._statusword_at]
         self.statusword_ns = now_ns
         watch = self._watch
         if self.guarded and statusword & watch.statusword_mask != watch.statusword_value:
@@ -219,6 +275,7 @@ class Cycle:
 
     def _judge(self, now_ns: int) -> None:
         """Nothing unread has arrived by `now_ns`: what is overdue now is lost."""
+        silent: list[_Stream] = []
         for stream in self._streams:
             matcher = stream.matcher
             if matcher.missing:
@@ -226,7 +283,13 @@ class Cycle:
                 matcher.give_up(now_ns)
                 silent_s = (now_ns - stream.last_answer_ns) * 1e-9
                 if len(matcher.settled) > settled and silent_s > self._timeout_s:
-                    self._watch.on_silence(stream.name, self._timeout_s, now_ns)
+                    silent.append(stream)
+        names = list(dict.fromkeys(stream.name for stream in silent))
+        if len(silent) == len(self._streams) and len(names) > 1:
+            self._watch.on_bus_silence(names, self._timeout_s, now_ns)
+        else:
+            for name in names:
+                self._watch.on_silence(name, self._timeout_s, now_ns)
         if self._watch.overdue(now_ns):
             self._watch.judge_heartbeats(now_ns)
 
@@ -241,51 +304,75 @@ class Cycle:
         return complete
 
     def _next_sample(self) -> Sample:
-        slot, asked_ns, drive_ns, state = self._state.matcher.settled.popleft()
-        if state is None:
-            self._lost(self._state, slot)
-        statusword = counts = torque_nm = velocity_rad_s = time_us = None
-        load_counts = encoder_ns = None
+        settled = [matcher.settled.popleft() for matcher in self._matchers]
+        slot, asked_ns, drive_ns, _ = settled[self._state_at]
+        commanded_rad = self._commanded.popleft()
+        values = [one.payload for one in settled]
+        for stream, payload in zip(self._streams, values, strict=True):
+            if payload is None:
+                self._lost(stream, slot)
         scale = self._drive.scale
-        if state is not None:
-            statusword, counts = state[0], self._unwrap_motor(state[1])
-            if self._torque_at is not None and scale.nm_per_permille is not None:
-                torque_nm = state[self._torque_at] * scale.nm_per_permille
-        if self._motion is not None:
-            _, _, _, motion = self._motion.matcher.settled.popleft()
-            if motion is None:
-                self._lost(self._motion, slot)
-            else:
-                if self._velocity_at is not None:
-                    velocity_rad_s = motion[self._velocity_at] * scale.rad_s_per_digit
-                if self._time_at is not None:
-                    time_us = motion[self._time_at]
-        if self._position is not None:
-            _, _, encoder_ns, position = self._position.matcher.settled.popleft()
-            if position is None:
-                self._lost(self._position, slot)
-            else:
-                load_counts = self._unwrap_load(position[0])
-                if self._encoder_time_at is not None:
-                    time_us = position[self._encoder_time_at]
+        counts = _value(values, self._motor_at)
+        if counts is not None:
+            counts = self._unwrap_motor(counts)
+        self._note_motion(counts, asked_ns)
+        load_counts = _value(values, self._load_at)
+        if load_counts is not None:
+            load_counts = self._unwrap_load(load_counts)
+        motor_rad = _scaled(counts, scale.rad_per_count)
+        load_rad = _scaled(load_counts, self._rad_per_load_count)
+        if self.guarded:
+            self._plausible.look(
+                asked_ns * 1e-9,
+                commanded_rad,
+                _pair(counts, motor_rad),
+                _pair(load_counts, load_rad),
+            )
         return Sample(
             slot=slot,
             asked_ns=asked_ns,
             drive_answered_ns=drive_ns,
-            encoder_answered_ns=encoder_ns,
-            device_time_us=time_us,
-            statusword=statusword,
+            encoder_answered_ns=settled[self._load_at[0]].received_ns if self._load_at else None,
+            device_time_us=_value(values, self._time_at),
+            statusword=_value(values, (self._state_at, self._statusword_at)),
             motor_position_counts=counts,
-            motor_position_rad=None if counts is None else counts * scale.rad_per_count,
-            motor_velocity_rad_s=velocity_rad_s,
-            motor_torque_nm=torque_nm,
+            motor_position_rad=motor_rad,
+            motor_velocity_rad_s=_scaled(_value(values, self._velocity_at), scale.rad_s_per_digit),
+            motor_torque_nm=_scaled(_value(values, self._torque_at), scale.nm_per_digit),
+            motor_current_a=_scaled(_value(values, self._current_at), scale.a_per_digit),
             load_angle_counts=load_counts,
-            load_angle_rad=None if load_counts is None else load_counts * self._rad_per_load_count,
+            load_angle_rad=load_rad,
         )
+
+    def _cannot_be(self, kind: str, text: str) -> None:
+        self._watch.tell(self._now_ns(), kind, text, fatal=True, key=kind)
+
+    def _note_motion(self, counts: int | None, asked_ns: int) -> None:
+        before, self._position = self._position, (counts, asked_ns)
+        self.motor_velocity_rad_s = None
+        if counts is not None and before[0] is not None:
+            moved_rad = (counts - before[0]) * self._drive.scale.rad_per_count
+            self.motor_velocity_rad_s = moved_rad / max((asked_ns - before[1]) * 1e-9, 1e-4)
 
     def _lost(self, stream: _Stream, slot: int) -> None:
         if slot >= 0:
             self._watch.on_lost(stream.name, slot, self._now_ns())
+
+
+def _value(values: list[Values | None], place: _Place | None) -> int | None:
+    """One object of a slot's answers; None where it is not mapped, or its answer was lost."""
+    if place is None:
+        return None
+    answer = values[place[0]]
+    return None if answer is None else answer[place[1]]
+
+
+def _pair(counts: int | None, angle_rad: float | None) -> tuple[int, float] | None:
+    return None if counts is None or angle_rad is None else (counts, angle_rad)
+
+
+def _scaled(value: int | None, unit: float | None) -> float | None:
+    return None if value is None or unit is None else value * unit
 
 
 def _frame(cob_id: int, data: bytes) -> can.Message:

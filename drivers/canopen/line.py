@@ -5,6 +5,7 @@ ever reads the bus but the one that runs the axis.
 """
 
 import errno
+import logging
 import socket
 from collections.abc import Callable
 from typing import Any
@@ -17,8 +18,18 @@ from drivers.canopen.settings import BusOptions
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import SettingsError, WireError
 
+logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it logs, errors here say
+
 _GREETING = b"< hi >"
 _PROBE_TIMEOUT_S = 2.0
+_EXTRAS = {
+    "slcan": "serial",
+    "serial": "serial",
+    "robotell": "serial",
+    "seeedstudio": "serial",
+    "udp_multicast": "multicast",
+}
+"""Interfaces of python-can that need a package more, and the extra that brings it."""
 _HELP = {
     errno.EAFNOSUPPORT: "this kernel has no CAN. Load the modules can and can_raw, or use an "
     "interface that needs none (slcan, socketcand)",
@@ -50,7 +61,7 @@ def open_bus(options: BusOptions) -> can.BusABC:
     except (can.CanInterfaceNotImplementedError, ImportError, NameError) as error:
         # NameError: python-can's kvaser without its library
         raise SettingsError(
-            f"cannot open the bus ({where}): {error}. Install what this interface needs."
+            f"cannot open the bus ({where}): {error}. {_missing_package(str(interface))}"
         ) from error
     except (TypeError, ValueError, KeyError) as error:
         raise SettingsError(
@@ -63,6 +74,13 @@ def open_bus(options: BusOptions) -> can.BusABC:
     except OSError as error:
         reason = _HELP.get(error.errno or 0, f"{error}. Check adapter and channel")
         raise WireError(f"cannot open the bus ({where}): {reason}.") from error
+
+
+def _missing_package(interface: str) -> str:
+    extra = _EXTRAS.get(interface)
+    if extra is None:
+        return "Install what this interface needs."
+    return f"Install what this interface needs: pip install 'python-can[{extra}]'."
 
 
 def _probe_socketcand(host: str, port: object) -> None:
@@ -125,6 +143,10 @@ class Line:
     def broken(self, error: Exception) -> WireError:
         """The error for a bus that failed under way."""
         reason = " ".join(str(error).split("Traceback")[0].split())
-        return WireError(
-            f"the bus ({self.name}) is gone: {reason}. Check server, adapter, and cable."
-        )
+        code = getattr(error, "error_code", None) or getattr(error, "errno", None) or 0
+        advice = _HELP.get(code, "Check server, adapter, and cable")
+        return WireError(f"the bus ({self.name}) is gone: {reason}. {_sentence(advice)}")
+
+
+def _sentence(words: str) -> str:
+    return f"{words[:1].upper()}{words[1:]}."

@@ -26,11 +26,18 @@ from drivers.canopen.setup import (
     set_up_drive,
     set_up_encoder,
 )
+from drivers.canopen.timing import check_period
 from drivers.canopen.watch import Watch
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import DriveError, DriverError, WireError
 
 _FAULT_RESET_S = 0.5
+_PROBES = 3
+_STOP_POLL_S = 0.01
+_SETTLE_NS = 200_000_000
+STANDSTILL_RAD_S = 0.5
+"""A shaft slower than this, between two samples, is believed to stand: a coarse encoder's one
+count in a short period must stay below."""
 _OFF = frozenset({State.SWITCH_ON_DISABLED, State.FAULT, State.NOT_READY})
 
 
@@ -100,6 +107,7 @@ class CanopenAxis:
 
     def _set_up(self) -> Cycle:
         settings, watch = self._settings, self._watch
+        check_period(settings)
         self._line = line = Line(open_bus(settings.bus), self._clock)
 
         def note(kind: str, text: str) -> None:
@@ -123,12 +131,15 @@ class CanopenAxis:
 
     def _enable(self, cycle: Cycle) -> None:
         """Lead the drive to operation enabled at velocity 0, one controlword per cycle."""
+        self._check_latency(cycle)
         drive = self._settings.drive
         start_ns = tick_ns = self._clock.now_ns()
         reset_ns: int | None = None
         cleared = False
         while tick_ns - start_ns < drive.enable_timeout_s * 1e9:
             tick_ns = self._tick(cycle, tick_ns)
+            if self._watch.lost_node and self._watch.first_fatal is not None:
+                raise WireError(self._watch.first_fatal.text)
             if cycle.statusword is None:
                 continue
             if cycle.statusword & self._watch.statusword_mask == self._watch.statusword_value:
@@ -143,6 +154,22 @@ class CanopenAxis:
             else:
                 cleared = reset_ns is not None
         raise self._not_enabled(cycle)
+
+    def _check_latency(self, cycle: Cycle) -> None:
+        """Refuse a node that needs longer than a period: its answers would pile up, and which SYNC
+        one of them belongs to could only be guessed."""
+        probes: list[dict[str, float]] = []
+        for _ in range(_PROBES):
+            self._own_slot += 1
+            probes.append(cycle.latencies_s(self._own_slot))
+        for name in probes[0]:
+            late_s = min(probe.get(name, 0.0) for probe in probes)  # 0: not there, judged later
+            if late_s > self._settings.period_s:
+                raise WireError(
+                    f"{name} answers SYNC after {late_s * 1e3:.2f} ms at the best of {_PROBES}, "
+                    f"and the period is {self._settings.period_s * 1e3:g} ms. Choose a longer "
+                    "period, raise the bit rate, or take what delays the answers off the bus."
+                )
 
     def _tick(self, cycle: Cycle, tick_ns: int) -> int:
         """One cycle of this master's own at velocity 0; returns the next cycle's time."""
@@ -228,9 +255,9 @@ class CanopenAxis:
             reason = f" ({error})"
         last = "none" if cycle.statusword is None else cia402.describe_statusword(cycle.statusword)
         own_stop = (
-            f"it watches this master's heartbeat (0x1016) and quick-stops by itself "
-            f"{self._settings.drive.heartbeat_timeout_s:g} s after the last one (0x6007)"
-            if drive.watches_master
+            f"it watches this master (0x{drive.watchdog[0]:04X}) and quick-stops by itself "
+            f"{self._settings.drive.heartbeat_timeout_s:g} s after its last word (0x6007)"
+            if drive.watchdog
             else "it does not watch this master's heartbeat (no 0x1016) and may still turn"
         )
         return (
@@ -239,10 +266,19 @@ class CanopenAxis:
         )
 
     def _stop_by_pdo(self, cycle: Cycle) -> bool:
-        """Quick stop, then power off, until the statusword says so. False where none comes."""
+        """Quick stop, then power off, until statusword and position say so.
+
+        False where no statusword comes. A statusword that says off while the shaft turns is not
+        believed: it gets quick stop for as long as any other. A drive whose quick stop holds the
+        axis (0x605A from 5 on) is powered off when it has stood for a while; the others do so
+        themselves. Raises WireError where it turns on.
+        """
         begun_ns = tick_ns = self._clock.now_ns()
         quick_ns = begun_ns + round(self._settings.drive.stop_timeout_s * 1e9)
         silence_ns = round(self._settings.answer_timeout_s * 1e9)
+        moved_ns = begun_ns
+        holds = (self._settings.drive.profile.stopping.quick_stop_option or 5) >= 5
+        off = False
         cycle.controlword = cia402.QUICK_STOP
         while tick_ns < quick_ns + silence_ns and not self._watch.lost_node:
             tick_ns = self._tick(cycle, tick_ns)
@@ -250,15 +286,41 @@ class CanopenAxis:
                 return False
             if cycle.statusword is not None and cycle.statusword_ns > begun_ns:
                 state = cia402.decode_state(cycle.statusword)
-                if state in _OFF:
+                off = state in _OFF
+                if state == State.OPERATION_ENABLED and tick_ns - begun_ns > silence_ns:
+                    return False  # answers come, commands do not arrive
+                if off and self._stands(cycle):
+                    cycle.controlword = cia402.DISABLE_VOLTAGE
+                    self._tick(cycle, tick_ns)
                     return True
-                cycle.controlword = cia402.controlword_towards_disabled(state)
+                if not self._stands(cycle):
+                    moved_ns = tick_ns
+                if holds and state == State.QUICK_STOP_ACTIVE and tick_ns - moved_ns > _SETTLE_NS:
+                    cycle.controlword = cia402.DISABLE_VOLTAGE
+                elif not off:
+                    cycle.controlword = cia402.controlword_towards_disabled(state)
             if tick_ns >= quick_ns:
                 cycle.controlword = cia402.DISABLE_VOLTAGE
+        if off and not self._watch.lost_node:
+            raise WireError(
+                "its statusword says off, but its position says that the shaft still turns at "
+                f"{cycle.motor_velocity_rad_s or 0.0:.3g} rad/s: it coasts, or the statusword lies"
+            )
         return False
 
+    @staticmethod
+    def _stands(cycle: Cycle) -> bool:
+        velocity_rad_s = cycle.motor_velocity_rad_s
+        return velocity_rad_s is not None and abs(velocity_rad_s) < STANDSTILL_RAD_S
+
     def _stop_by_sdo(self, node: Node) -> bool:
-        """Power off a drive that takes no PDO (restarted, or no longer operational)."""
+        """Stop a drive that takes no PDO (restarted, or no longer operational), then power off."""
+        deadline_ns = self._clock.now_ns() + round(self._settings.drive.stop_timeout_s * 1e9)
+        node.write(0x6040, 0, cia402.QUICK_STOP)
+        state = cia402.decode_state(node.read(0x6041))
+        while state in cia402.POWERED and self._clock.now_ns() < deadline_ns:
+            self._clock.sleep_s(_STOP_POLL_S)
+            state = cia402.decode_state(node.read(0x6041))
         node.write(0x6040, 0, cia402.DISABLE_VOLTAGE)
         return cia402.decode_state(node.read(0x6041)) not in cia402.POWERED
 
@@ -268,8 +330,8 @@ class CanopenAxis:
             if cycle is not None and not stopped:
                 cycle.controlword = cia402.DISABLE_VOLTAGE
                 cycle.ask(0.0, self._own_slot + 1)
-            elif drive is not None and drive.watches_master:
-                drive.node.write(0x1016, 1, 0)
+            elif drive is not None and drive.watchdog:
+                drive.node.write(*drive.watchdog, 0)
         except DriverError:
             pass  # a bus or node that is gone takes nothing; the stop has been judged already
         for node in self._nodes:

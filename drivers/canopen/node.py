@@ -1,6 +1,12 @@
 """One node seen from the master: its objects by SDO, its NMT state. Errors come in words."""
 
-from canopen.objectdictionary import ObjectDictionary, ObjectDictionaryError, ODVariable
+from canopen.objectdictionary import (
+    ObjectDictionary,
+    ObjectDictionaryError,
+    ODArray,
+    ODRecord,
+    ODVariable,
+)
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError, SdoError
 
@@ -45,7 +51,7 @@ class Node:
 
     def has(self, index: int, sub: int = 0) -> bool:
         """Whether the EDS knows the object."""
-        return self._variable(index, sub) is not None
+        return self._listed(index, sub) is not None
 
     def variable(self, index: int, sub: int = 0) -> ODVariable:
         """The object's entry in the EDS; DriveError where there is none."""
@@ -91,12 +97,12 @@ class Node:
 
     def writable(self, index: int, sub: int = 0) -> bool:
         """Whether the EDS knows the object and lets it be written."""
-        variable = self._variable(index, sub)
+        variable = self._listed(index, sub)
         return variable is not None and bool(variable.writable)
 
     def mappable(self, index: int, sub: int = 0) -> bool:
         """Whether the EDS knows the object and lets it into a PDO."""
-        variable = self._variable(index, sub)
+        variable = self._listed(index, sub)
         return variable is not None and bool(variable.pdo_mappable)
 
     def nmt(self, command: int) -> None:
@@ -118,6 +124,13 @@ class Node:
 
     def _variable(self, index: int, sub: int) -> ODVariable | None:
         return self.dictionary.get_variable(index, sub)
+
+    def _listed(self, index: int, sub: int) -> ODVariable | None:
+        """The object's entry where the EDS lists it: canopen invents the members an array lacks."""
+        entry = self.dictionary.get(index)
+        if isinstance(entry, ODRecord | ODArray) and sub not in entry.subindices:
+            return None
+        return self._variable(index, sub)
 
     def _describe(self, variable: ODVariable) -> str:
         return f"{_label(variable.index, variable.subindex)} ({variable.name})"

@@ -6,7 +6,7 @@
 
 `unit`, in rad/s, is what 0x60A9 says one digit of 0x60FF and 0x606C is worth at the motor shaft:
 exponent (bits 31..24, signed) | numerator (23..16) | denominator (15..8), CiA 303-2 codes.
-The torque is the motor's own; the gear ratio does not enter it.
+Torque and current are the motor's own; the gear ratio does not enter them.
 """
 
 import math
@@ -70,13 +70,14 @@ class Unwrapper:
 class DriveScale:
     """What the drive's numbers are worth at the shaft that the bench calls motor angle.
 
-    `rad_s_per_digit` is signed by the direction; `nm_per_permille` is None where the drive does
-    not tell its rated torque.
+    `rad_s_per_digit` is signed by the direction, as are the others; `nm_per_digit` is None where
+    the drive does not tell its rated torque, `a_per_digit` where it does not tell its current.
     """
 
     rad_per_count: float
     rad_s_per_digit: float
-    nm_per_permille: float | None
+    nm_per_digit: float | None
+    a_per_digit: float | None = None
 
 
 def drive_scale(
@@ -84,14 +85,17 @@ def drive_scale(
     gear_ratio: float,
     direction: int,
     si_unit_velocity: int,
-    rated_torque_mnm: int | None,
+    *,
+    rated_torque_nm: float | None,
+    a_per_digit: float | None = None,
 ) -> DriveScale:
     """Scale factors of one drive; SettingsError for an unknown velocity unit."""
     unit_rad_s = velocity_unit_rad_s(si_unit_velocity, counts_per_revolution)
     return DriveScale(
         rad_per_count=direction * 2.0 * math.pi / (counts_per_revolution * gear_ratio),
         rad_s_per_digit=direction * unit_rad_s / gear_ratio,
-        nm_per_permille=None if rated_torque_mnm is None else direction * rated_torque_mnm * 1e-6,
+        nm_per_digit=None if rated_torque_nm is None else direction * rated_torque_nm * 1e-3,
+        a_per_digit=None if a_per_digit is None else direction * a_per_digit,
     )
 
 

@@ -1,9 +1,13 @@
 """What the master must be told about the drive and the encoder; all of it values."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
+
+from drivers.canopen.profile import DriveProfile, generic
+from drivers.errors import SettingsError
 
 BusOptions = Mapping[str, str | int | float | bool]
 """The keyword arguments of `can.Bus`: interface, channel, and what that interface wants."""
@@ -20,8 +24,17 @@ class NodeSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class SecondEncoder:
+    """The load's encoder where it hangs on the drive: object 0x60E4, sub-index `sensor`."""
+
+    counts_per_revolution: int
+    sensor: int = 1
+    direction: Literal[1, -1] = 1
+
+
+@dataclass(frozen=True, slots=True)
 class DriveSettings:
-    """A CiA 402 drive in a velocity mode.
+    """A CiA 402 drive in a velocity mode; `profile` says what it does its own way.
 
     `counts_per_revolution` belongs to the motor encoder (0x6064 without scaling objects),
     `gear_ratio` is motor revolutions per revolution of the shaft that the bench calls motor angle
@@ -38,6 +51,8 @@ class DriveSettings:
     enable_timeout_s: float = 2.0
     stop_timeout_s: float = 2.0
     sdo_timeout_s: float = 0.5
+    profile: DriveProfile = field(default_factory=generic)
+    second_encoder: SecondEncoder | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +66,33 @@ class EncoderSettings:
 
 @dataclass(frozen=True, slots=True)
 class CanopenSettings:
-    """One axis: bus, drive, load encoder (None where the rig has none), and the period."""
+    """One axis: bus, drive, load encoder (None where the rig has none), and the period.
+
+    `period_s` is SYNC's, and a slot's. `command_every` slots share one set-point: SYNC at 1 ms
+    and 8 sample an 8 ms command eight times. `stuck_travel_rad` is how far the motor may turn
+    before the load must have moved at all, see `drivers.canopen.plausible`.
+    Raises SettingsError for two load encoders.
+    """
 
     bus: BusOptions
     drive: DriveSettings
     encoder: EncoderSettings | None
     period_s: float
     master_node_id: int = 127
-    answer_timeout_s: float = field(default=0.25)
+    answer_timeout_s: float = 0.25
+    command_every: int = 1
+    stuck_travel_rad: float = math.radians(10.0)
+
+    def __post_init__(self) -> None:
+        if self.encoder is not None and self.drive.second_encoder is not None:
+            raise SettingsError(
+                "the load's encoder is configured twice, on the bus ([encoder]) and on the drive "
+                "(drive.second_encoder). Keep the one that sits behind the coupling."
+            )
+        if self.command_every < 1:
+            raise SettingsError(f"command_every = {self.command_every}: one SYNC at the least.")
+
+    @property
+    def command_period_s(self) -> float:
+        """How long a set-point is held."""
+        return self.period_s * self.command_every

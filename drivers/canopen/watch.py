@@ -12,18 +12,34 @@ from drivers.canopen.node import OPERATIONAL
 
 _EMERGENCY = struct.Struct("<HB5s")
 _BOOT_UP = 0x00
+_ERROR_BUS_OFF = 0x40
+_ERROR_CLASSES = (
+    (0x01, "TX timeout"),
+    (0x02, "lost arbitration"),
+    (0x04, "controller"),
+    (0x08, "protocol violation"),
+    (0x10, "transceiver"),
+    (0x20, "no acknowledgement"),
+    (0x80, "bus error"),
+    (0x100, "controller restarted"),
+)
 _TOLD_STRANGERS = 8
 _ENABLED_MASK, _ENABLED = 0x6F, 0x27
 
 
 class Watch:
-    """What happens beside the samples. `statusword_mask`/`statusword_value` describe a good one."""
+    """What happens beside the samples.
+
+    `statusword_mask`/`statusword_value` describe a good statusword, `first_fatal` is what ended the
+    trust in the axis.
+    """
 
     def __init__(self, heartbeat_timeout_s: float, *, csv: bool) -> None:
         follows = cia402.FOLLOWS_COMMAND if csv else 0
         self.statusword_mask = _ENABLED_MASK | follows
         self.statusword_value = _ENABLED | follows
         self.lost_node = False
+        self.first_fatal: WireEvent | None = None
         self.strangers = 0
         self.duplicates = 0
         self._timeout_ns = round(heartbeat_timeout_s * 1e9)
@@ -43,7 +59,10 @@ class Watch:
             if (kind, key) in self._told:
                 return
             self._told.add((kind, key))
-        self._events.append(WireEvent(now_ns, kind, text, fatal))
+        event = WireEvent(now_ns, kind, text, fatal)
+        self._events.append(event)
+        if fatal and self.first_fatal is None:
+            self.first_fatal = event
 
     def drain(self) -> list[WireEvent]:
         """Everything since the last call."""
@@ -111,6 +130,32 @@ class Watch:
         """No answer at all, for longer than the answer timeout."""
         text = f"{name} has not answered SYNC for {timeout_s:g} s. Check its cable and its supply."
         self.tell(now_ns, "node silent", text, fatal=True, key=name)
+
+    def on_bus_silence(self, names: list[str], timeout_s: float, now_ns: int) -> None:
+        """Nobody answers: this is the bus, not a node."""
+        text = (
+            f"nobody on the bus has answered SYNC for {timeout_s:g} s ({', '.join(names)}): the "
+            "adapter is bus-off, the cable is open, or the supply of all is gone. Check cable, "
+            "termination, and bit rate."
+        )
+        self.tell(now_ns, "bus silent", text, fatal=True, key="bus")
+
+    def on_error_frame(self, classes: int, data: bytearray, now_ns: int) -> None:
+        """An error frame of the adapter (Linux: linux/can/error.h). Bus-off is fatal."""
+        if classes & _ERROR_BUS_OFF:
+            text = (
+                "the adapter has gone bus-off: too many errors on the wire. Check cable, "
+                "termination, and bit rate; `ip link set <channel> type can restart-ms 100` lets "
+                "it come back."
+            )
+            self.tell(now_ns, "bus-off", text, fatal=True, key="bus")
+            return
+        names = [name for bit, name in _ERROR_CLASSES if classes & bit]
+        text = (
+            f"the adapter reports errors on the wire: {', '.join(names) or hex(classes)} "
+            f"({bytes(data).hex(' ')}). Check cable, termination, and bit rate."
+        )
+        self.tell(now_ns, "bus errors", text, key=str(classes))
 
     def on_malformed(self, name: str, cob_id: int, length: int, wanted: int, now_ns: int) -> None:
         """A PDO of the wrong length: somebody has changed the mapping."""

@@ -3,7 +3,7 @@
 The reference wakes half a period after the loop, on the same CPU, so that a hole in which the
 machine was stolen hits both. A *stolen window* is where the reference itself woke more than
 `STOLEN_S` late; cycles within one period of it are left out of the clean figures, and a skipped
-slot there is explained. A listener on the bus adds what a third party sees.
+slot there is explained. On CAN a listener on the bus adds what a third party sees.
 """
 
 import json
@@ -53,7 +53,9 @@ def measure(
     cycles = experiment.schedule().slots + round(SETUP_S / period_s)
     with tempfile.TemporaryDirectory() as folder, spawn(rig.simulation_settings()) as simulated:
         out = Path(folder) / "cycle.mcap"
-        listener = _start_listener(dict(simulated.bus), experiment.schedule().slots)
+        on_can = rig.drive.protocol == "canopen"  # elsewhere there is nobody to listen in
+        slots = experiment.schedule().slots
+        listener = _start_listener(dict(simulated.bus), slots) if on_can else None
         with running_reference(
             priority=priority,
             cpu=chosen,
@@ -70,7 +72,7 @@ def measure(
                 progress=progress,
             )
             due_ns, late_ns = reference.rows()
-        seen = json.loads(listener.communicate()[0])
+        seen = json.loads(listener.communicate()[0]) if listener else None
         recording = load(out)
     asked_ns = recording["asked_ns"]
     during = (due_ns >= asked_ns[0]) & (due_ns <= asked_ns[-1])  # without set-up and tear-down
@@ -89,10 +91,28 @@ def measure(
         "ratio": _ratio(recording, due_ns, late_ns, stolen, period_ns),
         "missed_slots": summary.missed,
         "unexplained_gaps": _unexplained(recording, stolen, period_ns),
-        "bus": {
-            "sync_interval": spread_us(np.diff(seen.pop("sync_s")).tolist()),
-            "answers_after_sync": {cob_id: spread_us(after) for cob_id, after in seen.items()},
-        },
+        "round_trip": _round_trip(recording, stolen, period_ns),
+        "unanswered_slots": int(np.count_nonzero(~np.isfinite(recording["drive_latency_s"]))),
+        "bus": _seen_on_the_bus(seen),
+    }
+
+
+def _round_trip(
+    recording: Recording, stolen: NDArray[np.int64], period_ns: int
+) -> dict[str, dict[str, float]]:
+    """From the ask to the drive's answer."""
+    answered = np.isfinite(recording["drive_latency_s"])
+    asked_ns, latency_s = recording["asked_ns"][answered], recording["drive_latency_s"][answered]
+    return _figures(asked_ns, latency_s, stolen, period_ns)
+
+
+def _seen_on_the_bus(seen: dict[str, list[float]] | None) -> dict[str, Any]:
+    """What the listener took down; nothing without one."""
+    if seen is None:
+        return {}
+    return {
+        "sync_interval": spread_us(np.diff(seen.pop("sync_s")).tolist()),
+        "answers_after_sync": {cob_id: spread_us(after) for cob_id, after in seen.items()},
     }
 
 

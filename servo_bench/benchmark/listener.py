@@ -7,6 +7,7 @@ given number of SYNCs and prints one JSON object.
 """
 
 import json
+import logging
 import sys
 
 import can
@@ -43,5 +44,6 @@ def spread_us(values_s: list[float]) -> dict[str, float]:
 
 
 if __name__ == "__main__":
+    logging.getLogger("can").setLevel(logging.CRITICAL)  # "incomplete message": it waits for more
     job = json.loads(sys.stdin.readline())
     sys.stdout.write(json.dumps(listen(job["bus"], job["syncs"])))

@@ -75,7 +75,7 @@ def _show(analysis: Analysis, *written: Path | None) -> None:
     quality = analysis.quality
     console.print(f"{quality.missed_slots} of {quality.slots} slots missed")
     for flag in analysis.flags:
-        console.print(f"[yellow]note:[/] {escape(flag)}")
+        console.print(f"[yellow]note:[/] {escape(flag)}", soft_wrap=True)
     for path in written:
         if path is not None:
             console.print(f"written: {escape(str(path))}", soft_wrap=True)

@@ -14,12 +14,16 @@ from servo_bench.cli import (
     analyse,
     benchmark,
     demo,
+    drives,
+    effects,
     export,
+    fit,
     import_,
     paper,
     recover,
     rig,
     run,
+    sequence,
 )
 from servo_bench.errors import BenchError, gathered
 
@@ -31,8 +35,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-for command in (demo, rig, run, analyse, import_, export, recover, paper):
+for command in (demo, rig, drives, run, analyse, fit, import_, export, recover, paper):
     command.add_to(app)
+app.add_typer(sequence.app, name="sequence")
+app.add_typer(effects.app, name="effects")
 app.add_typer(benchmark.app, name="benchmark")
 
 
@@ -66,7 +72,8 @@ def main() -> None:
 
 def _fail(text: str, exit_code: int) -> None:
     Console(stderr=True).print("[bold red]error:[/]", end=" ")
-    Console(stderr=True, markup=False, highlight=False, soft_wrap=True).print(text)
+    console = Console(stderr=True, markup=False, highlight=False, emoji=False, soft_wrap=True)
+    console.print(text)
     sys.exit(exit_code)
 
 

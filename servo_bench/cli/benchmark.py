@@ -11,29 +11,41 @@ from rich.pretty import pprint
 from servo_bench.benchmark import cycle as cycle_benchmark
 from servo_bench.benchmark import experiment as experiment_benchmark
 from servo_bench.benchmark import kernels as kernels_benchmark
+from servo_bench.benchmark import model as model_benchmark
 from servo_bench.benchmark import recording as recording_benchmark
+from servo_bench.benchmark import volterra as volterra_benchmark
 from servo_bench.cli.output import refuse_existing, write_json
 from servo_bench.cli.progress import run_progress
+from servo_bench.recording.provenance import provenance
 from servo_bench.run.busloop import PRIORITY
 
 app = typer.Typer(no_args_is_help=True, help="Measure the bench, with a reference beside it.")
+PAPER_RIG = "rigs/paper.toml"
 Json = Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")]
 
 
 @app.command()
 def cycle(
     *,
-    period_s: Annotated[float, typer.Option(help="Period of the bus loop.")] = 0.008,
-    seconds: Annotated[float, typer.Option(help="How long to play.")] = 60.0,
-    priority: Annotated[int, typer.Option(help="SCHED_FIFO priority; 0 for none.")] = PRIORITY,
+    period_s: Annotated[float, typer.Option(min=1e-4, help="Period of the bus loop.")] = 0.008,
+    seconds: Annotated[float, typer.Option(min=1.0, help="How long to play.")] = 60.0,
+    priority: Annotated[
+        int, typer.Option(min=0, max=99, help="SCHED_FIFO priority; 0 for none.")
+    ] = PRIORITY,
     cpu: Annotated[int | None, typer.Option(help="CPU for both loops; default the last.")] = None,
+    rig: Annotated[str, typer.Option(help="Rig file, e.g. rigs/modbus-tcp.toml.")] = PAPER_RIG,
     json: Json = None,
 ) -> None:
     """The bus loop's punctuality beside a C loop on the same CPU, and what a listener sees."""
     refuse_existing(json)
     with run_progress(Console(stderr=True)) as progress:
         figures = cycle_benchmark.measure(
-            period_s=period_s, seconds=seconds, priority=priority, cpu=cpu, progress=progress
+            period_s=period_s,
+            seconds=seconds,
+            priority=priority,
+            cpu=cpu,
+            rig_name=rig,
+            progress=progress,
         )
     _show(figures, json)
 
@@ -69,7 +81,32 @@ def recording(
     _show(recording_benchmark.measure(seed), json)
 
 
+@app.command()
+def model(
+    *, seed: Annotated[int, typer.Option(help="Seed of the commands.")] = 1, json: Json = None
+) -> None:
+    """The simulation beside a hand-written loop, its start-up, and its step halving."""
+    refuse_existing(json)
+    _show(model_benchmark.measure(seed), json)
+
+
+@app.command()
+def volterra(
+    *,
+    seed: Annotated[int, typer.Option(help="First seed of the noise.")] = 201,
+    seeds: Annotated[int, typer.Option(min=1, help="How many seeds.")] = 10,
+    plants: Annotated[
+        str, typer.Option(help="Module of the plants to identify.")
+    ] = volterra_benchmark.PLANTS,
+    json: Json = None,
+) -> None:
+    """Every estimator on plants outside its class, on input it never saw; and the transforms."""
+    refuse_existing(json)
+    _show(volterra_benchmark.measure(range(seed, seed + seeds), plants), json)
+
+
 def _show(figures: Mapping[str, Any], json: Path | None) -> None:
+    """Print the figures; write them with when, where and with which versions they were taken."""
     pprint(dict(figures), expand_all=True)
     if json is not None:
-        write_json(json, figures)
+        write_json(json, {"measured": provenance(), **figures})

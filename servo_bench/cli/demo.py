@@ -8,7 +8,8 @@ import typer
 from rich.console import Console
 
 from servo_bench.cli.analyse import analyse
-from servo_bench.cli.run import play, tell_summary
+from servo_bench.cli.output import new_folder
+from servo_bench.cli.run import STOPPED_BY_OPERATOR, play, tell_summary
 from servo_bench.excitation.experiment import load_experiment
 from servo_bench.rig import load_rig
 
@@ -26,9 +27,9 @@ def demo(
     ] = Path("servo-bench-demo"),
 ) -> None:
     """Start the software rig, run a 33 s experiment on its wire, analyse it, write the report."""
-    console = Console(stderr=True)
+    console = Console(stderr=True, emoji=False)
     plan = load_experiment(EXPERIMENT)
-    out.mkdir(parents=True, exist_ok=True)
+    new_folder(out)
     stem = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
     recording = out / f"{stem}.mcap"
     console.print(
@@ -37,4 +38,6 @@ def demo(
     )
     summary = play(plan, load_rig(plan.rig), recording, console, simulated=True)
     tell_summary(summary, console)
+    if summary.stopped_early:
+        raise typer.Exit(STOPPED_BY_OPERATOR)
     analyse(recording, report=recording.with_suffix(".html"), json=recording.with_suffix(".json"))

@@ -11,7 +11,7 @@ from servo_bench.run.session import Status
 
 @contextmanager
 def run_progress(console: Console) -> Iterator[Callable[[Status], None]]:
-    """Yield the callback that a run session reports to."""
+    """Yield the callback that a run session reports to; nothing is drawn before the rig moves."""
     columns = (
         TextColumn("{task.description:<15}"),
         BarColumn(),
@@ -20,21 +20,27 @@ def run_progress(console: Console) -> Iterator[Callable[[Status], None]]:
         TextColumn("late {task.fields[late]}"),
         TextColumn("missed {task.fields[missed]}"),
     )
-    with Progress(*columns, console=console) as bar:
-        task = bar.add_task("setting up", total=None, left=0.0, late="-", missed=0)
+    bar = Progress(*columns, console=console)
+    task = bar.add_task("setting up", total=None, left=0.0, late="-", missed=0)
 
-        def report(status: Status) -> None:
-            bar.update(
-                task,
-                description=status.phase.name.lower().replace("_", "-"),
-                total=status.slots,
-                completed=status.slot,
-                left=status.seconds_left,
-                late=_lateness(status),
-                missed=status.missed,
-            )
+    def report(status: Status) -> None:
+        if status.slot == 0:
+            return
+        bar.start()
+        bar.update(
+            task,
+            description=status.phase.name.lower().replace("_", "-"),
+            total=status.slots,
+            completed=status.slot + 1,
+            left=status.seconds_left,
+            late=_lateness(status),
+            missed=status.missed,
+        )
 
+    try:
         yield report
+    finally:
+        bar.stop()
 
 
 def _lateness(status: Status) -> str:

@@ -32,4 +32,4 @@ def recover(
         if found.was_cut
         else f"{file} was complete already: all {found.samples} samples are in {target} too."
     )
-    Console(stderr=True).print(text)
+    Console(stderr=True, emoji=False).print(text, markup=False, soft_wrap=True)

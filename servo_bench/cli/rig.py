@@ -7,6 +7,7 @@ from rich.console import Console
 
 from servo_bench.cli.stopping import asked_to_stop
 from servo_bench.rig import load_rig
+from sim_rig.faults.catalogue import KINDS
 from sim_rig.process import serve
 
 DEFAULT_RIG = "rigs/paper.toml"
@@ -24,19 +25,40 @@ def rig(
     port: Annotated[
         int | None, typer.Option(help="TCP port of the embedded bus, instead of the file's.")
     ] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(help="A fault to order, e.g. 'bus-off at=100 for_ms=500'. Repeatable."),
+    ] = None,
+    list_faults: Annotated[
+        bool, typer.Option("--list-faults", help="Print the faults that can be ordered, and end.")
+    ] = False,
 ) -> None:
     """Start the software rig: drive and encoder on a bus, standing in for the hardware.
 
     It plays the rig's nominal model until Ctrl-C or SIGTERM.
     """
-    chosen = load_rig(config)
+    if list_faults:
+        _print_faults()
+        return
+    chosen = load_rig(config).with_faults(*(fault or ()))
     if port is not None:
         chosen = chosen.with_bus(port=port)
-    console = Console(stderr=True)
+    console = Console(stderr=True, emoji=False)
 
     def ready(where: dict[str, object]) -> None:
         place = " ".join(f"{key}={value}" for key, value in where.items())
-        console.print(f"rig '{chosen.name}' is on the bus: {place}. Ctrl-C ends it.")
+        console.print(
+            f"rig '{chosen.name}' is on the bus: {place}. Ctrl-C ends it.",
+            markup=False,
+            soft_wrap=True,
+        )
 
     with asked_to_stop() as stop:
         serve(chosen.simulation_settings(), ready=ready, stop=stop)
+
+
+def _print_faults() -> None:
+    console = Console(markup=False, highlight=False, soft_wrap=True)
+    for name, kind in KINDS.items():
+        values = " ".join(f"{key}={value}" for key, value in kind.defaults.items())
+        console.print(f"{name} {values}\n    {kind.text}")

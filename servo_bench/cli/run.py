@@ -17,6 +17,9 @@ from servo_bench.run.session import RunSummary
 from servo_bench.run.session import run as run_session
 from sim_rig.process import spawn
 
+STOPPED_BY_OPERATOR = 130
+"""The exit code of a run that was stopped before there was anything to keep."""
+
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
@@ -35,7 +38,9 @@ def run(
         typer.Option("--simulated", help="Start a software rig for this run, on a bus of its own."),
     ] = False,
     port: Annotated[int | None, typer.Option(help="TCP port of the bus.")] = None,
-    priority: Annotated[int, typer.Option(help="SCHED_FIFO priority of the bus loop.")] = PRIORITY,
+    priority: Annotated[
+        int, typer.Option(min=0, max=99, help="SCHED_FIFO priority of the bus loop; 0 for none.")
+    ] = PRIORITY,
     cpu: Annotated[int | None, typer.Option(help="CPU to pin the bus loop to.")] = None,
 ) -> None:
     """Play an experiment on a rig and record it.
@@ -47,9 +52,11 @@ def run(
     chosen = load_rig(rig or plan.rig, beside=find(experiment).parent)
     if port is not None:
         chosen = chosen.with_bus(port=port)
-    console = Console(stderr=True)
+    console = Console(stderr=True, emoji=False)
     summary = play(plan, chosen, out, console, simulated=simulated, priority=priority, cpu=cpu)
     tell_summary(summary, console)
+    if summary.played == 0:
+        raise typer.Exit(STOPPED_BY_OPERATOR)
 
 
 def play(
@@ -75,9 +82,14 @@ def play(
 def tell_summary(summary: RunSummary, console: Console) -> None:
     """Say in a few lines how the run ended."""
     for sentence in summary.sentences:
-        console.print(f"note: {sentence}")
+        console.print(f"note: {sentence}", markup=False, soft_wrap=True)
+    if summary.played == 0:
+        console.print("stopped before the drive was enabled: nothing was recorded.")
+        return
     ending = "stopped early" if summary.stopped_early else "complete"
     console.print(
         f"{ending}: {summary.played} of {summary.slots} slots played, {summary.missed} missed; "
-        f"the drive is stopped and disabled. Recording: {summary.path}"
+        f"the drive is stopped and disabled. Recording: {summary.path}",
+        markup=False,
+        soft_wrap=True,
     )

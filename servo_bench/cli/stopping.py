@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as a question that the run session asks, not as an exception."""
+"""Ctrl-C, SIGTERM, and a terminal that hangs up as a question to ask, not as an exception."""
 
 import signal
 from collections.abc import Callable, Iterator
@@ -8,13 +8,19 @@ from types import FrameType
 
 @contextmanager
 def asked_to_stop() -> Iterator[Callable[[], bool]]:
-    """Yield a function that says whether SIGINT or SIGTERM has come; handlers are put back."""
+    """Yield a function that says whether SIGINT, SIGTERM, or SIGHUP has come.
+
+    A SIGHUP that is ignored already (nohup) stays so. The handlers are put back.
+    """
     came: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
         came.append(number)
 
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    heeded = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+        heeded.append(signal.SIGHUP)
+    before = {number: signal.signal(number, note) for number in heeded}
     try:
         yield lambda: bool(came)
     finally:

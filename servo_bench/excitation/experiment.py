@@ -22,7 +22,14 @@ from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, PositiveInt
 
 from servo_bench.errors import ConfigError
-from servo_bench.excitation.sequences import MSequence, Periodic, RandomBinary, Sequence
+from servo_bench.excitation.sequences import (
+    MAX_CHIPS,
+    Count,
+    MSequence,
+    Periodic,
+    RandomBinary,
+    Sequence,
+)
 from servo_bench.files import Value, find, read_toml, validated
 
 __all__ = ["Experiment", "MSequence", "Phase", "RandomBinary", "Schedule", "Sequence"]
@@ -48,7 +55,7 @@ class Experiment(Value):
     period_s: PositiveFloat
     memory: PositiveInt
     standstill_s: float = Field(default=2.0, ge=0.0)
-    lead_in: PositiveInt = 256
+    lead_in: Count = 256
     identification: Periodic
     validation: Sequence
 
@@ -60,9 +67,14 @@ class Experiment(Value):
                 f"{self.memory}: the first samples would answer to chips that were never played. "
                 f"Give lead_in at least {self.memory}."
             )
+        standstill = round(min(self.standstill_s / self.period_s, MAX_CHIPS + 1))
+        if standstill > MAX_CHIPS:
+            raise ConfigError(
+                f"standstill_s = {self.standstill_s:g} at period_s = {self.period_s:g} are more "
+                f"than {MAX_CHIPS} periods. Shorten the standstill, or correct the period."
+            )
         chips = self.identification.velocity_rad_s()
         validation = self.validation.velocity_rad_s()
-        standstill = round(self.standstill_s / self.period_s)
         commands = [
             np.zeros(standstill),
             np.resize(chips[::-1], self.lead_in)[::-1],

@@ -14,7 +14,6 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import max_len_seq
 
 from servo_bench.errors import ConfigError
 
@@ -30,11 +29,30 @@ def m_sequence(polynomial_octal: str) -> NDArray[np.int8]:
     """
     polynomial = checked_polynomial(polynomial_octal)
     n = degree(polynomial)
-    taps = [i for i in range(n - 1, 0, -1) if polynomial >> i & 1]
-    bits, _ = max_len_seq(n, state=np.ones(n, np.int8), taps=np.array(taps))
-    chips = (1 - 2 * bits).astype(np.int8)
+    chips = (1 - 2 * _bits(polynomial, 2**n - 1)).astype(np.int8)
     chips.setflags(write=False)
     return chips
+
+
+def _bits(polynomial: int, length: int) -> NDArray[np.int8]:
+    """The first bits of the sequence, from a register of ones.
+
+    Over GF(2) f(x)^h = f(x^h) for every power of two h, so the bits also obey the recurrence with
+    all its distances stretched by h: h of them follow at once from the n h before them.
+    """
+    n = degree(polynomial)
+    taps = [i for i in range(n) if polynomial >> i & 1]
+    bits = np.ones(max(length, n), np.int8)
+    known = n
+    while known < length:
+        stretch = 1 << ((known // n).bit_length() - 1)
+        new = min(stretch, length - known)
+        first = known - n * stretch
+        bits[known : known + new] = np.bitwise_xor.reduce(
+            [bits[first + i * stretch : first + i * stretch + new] for i in taps]
+        )
+        known += new
+    return bits[:length]
 
 
 def checked_polynomial(polynomial_octal: str) -> int:

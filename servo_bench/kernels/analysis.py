@@ -1,13 +1,13 @@
 """From a recording to its Volterra kernels and what they predict on commands they never saw."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from servo_bench.errors import RecordingError
-from servo_bench.excitation.experiment import Phase
+from servo_bench.excitation.experiment import MSequence, Phase
 from servo_bench.kernels.comparison import Comparison, compare
 from servo_bench.kernels.filling import extract_filled, spoilt_by
 from servo_bench.kernels.identification import (
@@ -142,6 +142,7 @@ def analyse(
     response = response_of(recording)
     octal = _polynomial_of(recording) if polynomial is None else polynomial
     found = locate(response, octal)
+    response = replace(response, command_rad_s=response.command_rad_s - found.bias_rad_s)
     samples = _memory_of(recording, octal) if memory is None else memory
     delay = command_delay(response, found, samples)
     measured, spoilt = response_periods(response, found, samples, delay)
@@ -176,7 +177,14 @@ def _polynomial_of(recording: Recording) -> str:
             "the recording does not say which M-sequence was played. Name its polynomial, in "
             "octal with the highest power first (the paper's experiment: 40473)."
         )
-    return recording.experiment.identification.polynomial
+    identification = recording.experiment.identification
+    if not isinstance(identification, MSequence):
+        raise RecordingError(
+            f"the recording was identified with a {identification.kind} sequence, and this "
+            f'analysis reads plain M-sequences. Play kind = "m-sequence", or take the kernels of '
+            f"this one with servo_bench.kernels.separation or an estimator."
+        )
+    return identification.polynomial
 
 
 def _memory_of(recording: Recording, polynomial: str) -> int:

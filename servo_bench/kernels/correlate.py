@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from servo_bench.errors import FitError
 from servo_bench.excitation.msequence import m_sequence
+from servo_bench.kernels.transform import m_transform
 
 Array = NDArray[np.float64]
 
@@ -27,10 +27,10 @@ class Correlation:
 
 def cross_correlation(response: Array, polynomial: str) -> Array:
     """phi of a response to whole periods, shape (..., N) -> (..., N)."""
-    chips = m_sequence(polynomial).astype(np.float64)
-    spectrum = np.conj(fft.rfft(chips)) * fft.rfft(response, axis=-1)
-    phi: Array = fft.irfft(spectrum, chips.size, axis=-1) / chips.size
-    return phi
+    chips = m_sequence(polynomial).size
+    rows = np.reshape(response, (-1, chips))
+    sums = [m_transform(row, polynomial) for row in rows]
+    return np.reshape(sums, np.shape(response)) / chips
 
 
 def averaged_correlation(response_periods: Array, polynomial: str) -> Correlation:

@@ -29,6 +29,7 @@ class Identification:
 
     polynomial: str
     amplitude_rad_s: float
+    bias_rad_s: float
     chips: int
     first: int
     start: int
@@ -55,26 +56,36 @@ def locate(response: Response, polynomial: str) -> Identification:
             f"{polynomial} has {chips.size}: no kernel can be extracted. Record at least one "
             f"whole period, or play a polynomial of a lower degree."
         )
-    amplitude = float(np.median(np.abs(response.command_rad_s[slots])))
-    wrong = _wrong_share(response, slots, slots.start, amplitude * chips)
+    amplitude, bias = _levels(response.command_rad_s[slots], chips)
+    wrong = _wrong_share(response, slots, slots.start, bias + amplitude * chips)
     if wrong > LARGEST_MISSING_SHARE:
+        highest = float(np.abs(response.command_rad_s[slots]).max())
         raise FitError(
             f"the commands of slots {slots.start} to {slots.stop - 1} are not the M-sequence of "
-            f"{polynomial} at +-{amplitude:.4g} rad/s: {100.0 * wrong:.1f} % of them differ. "
+            f"{polynomial} at +-{highest:.4g} rad/s: {100.0 * wrong:.1f} % of them differ. "
             f"Name the polynomial that was played, or check that the recording is whole."
         )
     lead_in = response.slots_of(Phase.LEAD_IN)
     periodic = lead_in.stop == slots.start and (
-        _wrong_share(response, lead_in, slots.start, amplitude * chips) <= LARGEST_MISSING_SHARE
+        _wrong_share(response, lead_in, slots.start, bias + amplitude * chips)
+        <= LARGEST_MISSING_SHARE
     )
     return Identification(
         polynomial=polynomial,
         amplitude_rad_s=amplitude,
+        bias_rad_s=bias,
         chips=chips.size,
         first=lead_in.start if periodic else slots.start,
         start=slots.start,
         stop=slots.stop,
     )
+
+
+def _levels(commands: Array, chips: Array) -> tuple[float, float]:
+    """Half the distance of the two levels, and their middle: amplitude and bias."""
+    positive = np.resize(chips, commands.size) > 0.0
+    high, low = float(np.median(commands[positive])), float(np.median(commands[~positive]))
+    return abs(high - low) / 2.0, (high + low) / 2.0
 
 
 def _wrong_share(response: Response, slots: slice, start: int, commands: Array) -> float:

@@ -2,9 +2,8 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
-from servo_bench.excitation.msequence import m_sequence
+from servo_bench.kernels.transform import m_synthesis
 
 Array = NDArray[np.float64]
 
@@ -15,6 +14,4 @@ def sequence_response(coefficients: Array, polynomial: str) -> Array:
     On its own M-sequence every kernel of any order is such a sum, for a product of chips is the
     sequence at another shift: all orders are one circular convolution.
     """
-    chips = m_sequence(polynomial).astype(np.float64)
-    spectrum = fft.rfft(chips) * fft.rfft(coefficients)
-    return np.asarray(fft.irfft(spectrum, chips.size))
+    return m_synthesis(coefficients, polynomial)

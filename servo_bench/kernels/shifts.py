@@ -21,7 +21,7 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_bench.excitation.msequence import checked_polynomial, degree, m_sequence
+from servo_bench.kernels.transform import permutations
 
 ORDERS = (1, 2, 3)
 """Orders of the kernels that are measured."""
@@ -30,13 +30,7 @@ ORDERS = (1, 2, 3)
 @cache
 def registers(polynomial: str) -> NDArray[np.int32]:
     """w(t): the n bits from t on, bit i being s(t + i); shape (N,), read-only, all distinct."""
-    bits = (m_sequence(polynomial) < 0).astype(np.int32)
-    n = degree(checked_polynomial(polynomial))
-    words = np.zeros_like(bits)
-    for i in range(n):
-        words |= np.roll(bits, -i) << i
-    words.setflags(write=False)
-    return words
+    return permutations(polynomial)[0]
 
 
 @cache

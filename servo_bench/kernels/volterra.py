@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from servo_bench.errors import FitError
 from servo_bench.kernels.correlate import averaged_correlation
+from servo_bench.kernels.settled import refuse_integrator
 from servo_bench.kernels.shifts import (
     ORDERS,
     collision_free_memory,
@@ -151,6 +152,7 @@ def extract(
     baseline = float(np.median(correlation.phi[empty]))
     whole = correlation.phi.size / (correlation.phi.size + 1.0)
     c = (correlation.phi - baseline) * whole
+    refuse_integrator(c, empty, float(np.abs(c[elements[1]]).max()))
     coefficients = [np.zeros((memory,) * m) for m in ORDERS]
     for m, shifts in elements.items():
         coefficients[m - 1][tuple(lag_sets(memory, m).T)] = c[shifts]

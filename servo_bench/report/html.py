@@ -29,7 +29,7 @@ def analysis_report(analysis: Analysis, recording: Recording) -> str:
     """The report of one experiment, as HTML."""
     experiment, rig = recording.experiment, recording.rig
     events = event_rows(recording.events[:EVENTS_SHOWN], _start_ns(recording))
-    return _page(
+    return rendered(
         "analysis.html.j2",
         title=experiment.name if experiment else "experiment",
         rig=rig.name if rig else "a rig that the recording does not name",
@@ -59,7 +59,7 @@ def paper_report(result: PaperResult) -> str:
     figures = result.numbers()
     plates: list[Plate] = paper_plates(result)
     half = len(plates) // 2
-    return _page(
+    return rendered(
         "paper.html.j2",
         headline=paper_headline(result),
         memory=figures["memory"],
@@ -128,7 +128,8 @@ def _start_ns(recording: Recording) -> int:
     return recording.events[0].time_ns if recording.events else 0
 
 
-def _page(template: str, **values: Any) -> str:
+def rendered(template: str, **values: Any) -> str:
+    """A template of this package with its values; StrictUndefined where one is missing."""
     environment = Environment(
         loader=PackageLoader("servo_bench.report"),
         autoescape=True,

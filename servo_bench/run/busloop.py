@@ -1,6 +1,6 @@
 """The bus loop: plays a schedule into an axis, slot by slot, in a process of its own.
 
-    python -m servo_bench.run.busloop     (the session starts it; a job comes on stdin)
+    python -m servo_bench.run.busloop PID     (the session of that PID starts it; a job on stdin)
 
 Nothing else shares this interpreter: no analysis, no file, no web server. The job is one JSON
 line; rows go into the slot table; what is not a row goes to stdout as JSON lines. In each slot:
@@ -17,16 +17,17 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from types import FrameType
 from typing import Any
 
 from drivers.axis import Axis, Sample
-from drivers.canopen.master import CanopenAxis
 from servo_bench.clock import NS_PER_S, Clock, Grid, monotonic_ns
-from servo_bench.errors import BenchError, LimitError, WireError, gathered
+from servo_bench.errors import BenchError, ConfigError, LimitError, WireError, gathered
 from servo_bench.excitation.experiment import Experiment, Schedule, experiment_from_table
 from servo_bench.rig import Limits, RigConfig, rig_from_table
+from servo_bench.run.axes import open_axis
 from servo_bench.run.limits import Guard
 from servo_bench.run.realtime import follow_parent, make_punctual
 from servo_bench.run.table import SlotTable
@@ -72,10 +73,10 @@ class Job:
 
 
 def tell(kind: str, text: str, *, time_ns: int | None = None, **data: Any) -> None:
-    """Say something to the session: one JSON line on stdout."""
+    """Say something to the session, if it still lives: one JSON line on stdout."""
     message = {"time_ns": time_ns or monotonic_ns(), "kind": kind, "text": text, "data": data}
-    sys.stdout.write(json.dumps(message) + "\n")
-    sys.stdout.flush()
+    with suppress(BrokenPipeError):
+        os.write(sys.stdout.fileno(), json.dumps(message).encode() + b"\n")
 
 
 class Player:
@@ -186,10 +187,16 @@ def run_job(job: Job, table: SlotTable) -> None:
     """Enable the rig, play, stop it. Raises BenchError; the axis is left stopped either way."""
     schedule = job.experiment.schedule()
     if job.cpu is not None:
-        os.sched_setaffinity(0, {job.cpu})
+        try:
+            os.sched_setaffinity(0, {job.cpu})
+        except (OSError, OverflowError) as error:
+            raise ConfigError(
+                f"cpu = {job.cpu}: the bus loop cannot be pinned there ({error}). This process may "
+                f"use {sorted(os.sched_getaffinity(0))}. Name one of these."
+            ) from error
     for sentence in make_punctual(job.priority):
         tell("not punctual", sentence)
-    with gathered(), CanopenAxis(job.rig.canopen_settings(job.experiment.period_s)) as axis:
+    with gathered(), open_axis(job.rig, job.experiment.period_s) as axis:
         # the next period already: a drive that watches SYNC allows no pause after enabling
         start_ns = monotonic_ns() + round(job.experiment.period_s * NS_PER_S)
         tell("playing", "the drive is enabled", start_ns=start_ns)
@@ -197,19 +204,20 @@ def run_job(job: Job, table: SlotTable) -> None:
         tell("stopping", "the last slot was played" if not table.stop_asked else "asked to stop")
 
 
-def main() -> int:
-    """Entry point of the process: 0 when the rig was played and stopped, 1 with an error line."""
+def main(session_pid: int) -> int:
+    """Entry point of the process: 0 when the rig was played and stopped, 1 when it was not."""
     logging.getLogger("can").setLevel(logging.CRITICAL)  # what python-can and canopen log, our
     logging.getLogger("canopen").setLevel(logging.CRITICAL)  # errors and events say in full
+    if not follow_parent(signal.SIGTERM, session_pid):
+        return 1  # nobody would watch or record what moves
     job = Job.from_line(sys.stdin.readline())
     with SlotTable(job.descriptor, job.experiment.schedule().slots) as table:
 
         def stop(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
             table.ask_stop()
 
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to everyone: the
-        signal.signal(signal.SIGTERM, stop)  # session decides, and asks through the table
-        follow_parent(signal.SIGTERM)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the session decides, and asks by the table
+        signal.signal(signal.SIGTERM, stop)
         try:
             run_job(job, table)
         except BenchError as error:
@@ -219,4 +227,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(int(sys.argv[1])))

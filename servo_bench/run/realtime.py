@@ -32,10 +32,14 @@ def make_punctual(priority: int) -> tuple[str, ...]:
     )
 
 
-def follow_parent(signal_number: int) -> None:
-    """Have the kernel send `signal_number` to this process when its parent dies."""
+def follow_parent(signal_number: int, parent_pid: int) -> bool:
+    """Have the kernel send `signal_number` to this process when its parent dies.
+
+    False where it has died already, which the kernel does not tell.
+    """
     if sys.platform.startswith("linux"):
         _libc().prctl(PR_SET_PDEATHSIG, signal_number, 0, 0, 0)
+    return os.getppid() == parent_pid
 
 
 def _libc() -> ctypes.CDLL:
@@ -58,6 +62,8 @@ def _locked_memory() -> str | None:
 
 
 def _fifo(priority: int) -> str | None:
+    if priority == 0:
+        return "SCHED_FIFO was not asked for (priority 0): on a busy machine cycles will be late."
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except PermissionError:

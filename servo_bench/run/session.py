@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,14 +20,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_bench import errors
-from servo_bench.clock import monotonic_ns
+from servo_bench.clock import NS_PER_S, monotonic_ns
 from servo_bench.errors import BenchError, ConfigError, WireError
 from servo_bench.excitation.experiment import Experiment, Phase, Schedule
+from servo_bench.excitation.sequences import FieldSequence
 from servo_bench.kernels.shifts import collision_free_memory
 from servo_bench.recording.mcap_file import RecordingWriter
 from servo_bench.recording.provenance import provenance
 from servo_bench.recording.recording import Event
 from servo_bench.rig import RigConfig
+from servo_bench.run.axes import axis_settings
 from servo_bench.run.busloop import PRIORITY, Job
 from servo_bench.run.limits import check_schedule
 from servo_bench.run.table import UNPLAYED, SlotTable
@@ -83,7 +86,7 @@ def run(
     schedule = experiment.schedule()
     check_memory(experiment)
     check_schedule(schedule, rig.limits)
-    rig.canopen_settings(experiment.period_s)  # a missing EDS is found before a file is opened
+    axis_settings(rig, experiment.period_s)  # a missing EDS is found before a file is opened
     with SlotTable.create(schedule.slots) as table:
         writer = RecordingWriter(out, experiment, rig, provenance(), 1.0 / experiment.period_s)
         watch = _Watch(table, schedule, writer, progress)
@@ -106,6 +109,8 @@ def run(
 
 def check_memory(experiment: Experiment) -> None:
     """Raise ConfigError where the sequence cannot give kernels of the memory that is asked for."""
+    if isinstance(experiment.identification, FieldSequence):
+        return  # three or five levels: the rule is one of binary sequences
     polynomial = experiment.identification.polynomial
     limit = collision_free_memory(polynomial, KERNEL_ORDER)
     if experiment.memory > limit:
@@ -125,18 +130,20 @@ class _Loop:
 
     def __enter__(self) -> "_Loop":
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "servo_bench.run.busloop"],
+            [sys.executable, "-m", "servo_bench.run.busloop", str(os.getpid())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             pass_fds=(self._job.descriptor,),
+            start_new_session=True,  # what a terminal sends (Ctrl-C, hang-up) is for the session
         )
         stdin, stdout = self.process.stdin, self.process.stdout
         if stdin is None or stdout is None:
             raise WireError("the bus process has no pipes: start it through the session.")
         self._stdout = stdout.fileno()
         os.set_blocking(self._stdout, False)
-        stdin.write(self._job.line().encode() + b"\n")
-        stdin.close()
+        with suppress(BrokenPipeError):  # its exit status will say why
+            stdin.write(self._job.line().encode() + b"\n")
+            stdin.close()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -160,6 +167,12 @@ class _Loop:
             pass
         *lines, self._unread = self._unread.split(b"\n")
         return [_event(line) for line in lines]
+
+    @property
+    def stop_takes_s(self) -> float:
+        """How long the loop may need to end, wherever it is asked: set up, enabling, or moving."""
+        drive = self._job.rig.drive
+        return STOP_GRACE_S + drive.enable_timeout_s + drive.stop_timeout_s
 
     @property
     def over(self) -> bool:
@@ -193,17 +206,24 @@ class _Watch:
         self.sentences: list[str] = []
 
     def until_over(self, loop: _Loop, stop: Callable[[], bool]) -> None:
-        """Write and report until the loop's process has ended and everything is written."""
+        """Write and report until the loop's process has ended and everything is written.
+
+        A loop that has been asked to stop and hangs is waited for no longer than a stop can take.
+        """
         over = False
-        while not over:
+        patience_ns = round(loop.stop_takes_s * NS_PER_S)
+        asked_ns: int | None = None
+        while not over and (asked_ns is None or monotonic_ns() - asked_ns < patience_ns):
             over = loop.over  # asked first, so that the last pass sees all it left
             for event, is_end in loop.events(0.0 if over else WRITE_EVERY_S):
                 self._note(event, is_end=is_end)
+            status = self._status()  # taken first: what the operator sees is recorded by then
             self._write_rows()
-            self._progress(self._status())
-            if not self._table.stop_asked and stop():
+            self._progress(status)
+            if asked_ns is None and stop():
+                asked_ns = monotonic_ns()
                 self._table.ask_stop()
-                self._writer.event(Event(monotonic_ns(), "stop asked", "the operator asked"))
+                self._writer.event(Event(asked_ns, "stop asked", "the operator asked"))
 
     def _note(self, event: Event, *, is_end: bool) -> None:
         self._writer.event(event)

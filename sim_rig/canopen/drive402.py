@@ -1,12 +1,14 @@
 """A CiA 402 servo drive: profile velocity and cyclic synchronous velocity, over any Plant.
 
 On the wire: increments of the motor encoder, increments per second, per mille of the rated
-torque. Cyclic synchronous velocity (9) hands the target on as it is, from the SYNC that brought
-it. Profile velocity (3), quick stop, halt, and fault reaction run along ramps, played as pieces
-of 1 ms of constant command. Without power the motor coasts.
+torque, and counts of a second encoder on the load (0x60E4:1) for rigs without CiA 406. Cyclic
+synchronous velocity (9) hands the target on as it is, from the SYNC that brought it. Profile
+velocity (3), quick stop, halt, and fault reaction run along ramps, played as pieces of 1 ms of
+constant command. Without power the motor coasts.
 """
 
 import math
+from collections.abc import Callable
 
 import canopen
 import numpy as np
@@ -58,11 +60,17 @@ class Drive:
         self._counts_per_rad = settings.motor_counts_per_revolution / math.tau
         self._torque_constant = settings.nominal.torque_constant_nm_per_a
         self._rated_torque_nm = settings.rated_torque_nm
-        self._encoder = AngleEncoder(
+        self.sensor = AngleEncoder(
             settings.motor_counts_per_revolution,
             settings.motor_encoder_noise_rad,
             np.random.default_rng([settings.seed, 1]),
         )
+        self.load_sensor = AngleEncoder(
+            settings.load_counts_per_revolution,
+            settings.load_encoder_noise_rad,
+            np.random.default_rng([settings.seed, 3]),
+        )
+        self.status_filter: Callable[[int], int] | None = None
         store.set_default((0x6075, 0), round(1e3 * self._rated_current_a))
         store.set_default((0x6076, 0), round(1e3 * self._rated_torque_nm))
         store.set_default((0x608F, 1), settings.motor_counts_per_revolution)
@@ -101,6 +109,21 @@ class Drive:
                 self._enter(State.SWITCH_ON_DISABLED)
             case 3:
                 self._enter(State.QUICK_STOP_ACTIVE)
+        self._publish_status()
+
+    def trip(self, code: int) -> None:
+        """Fall into fault by itself, with an emergency: the fault reaction, then power off."""
+        self._store[0x603F, 0] = code
+        self._slave.emergency(code, _PROFILE_ERROR)
+        if self.state in POWERED:
+            self._enter(State.FAULT_REACTION_ACTIVE)
+        else:
+            self._enter(State.FAULT)
+        self._publish_status()
+
+    def let_go(self) -> None:
+        """Lose the power stage, without a word."""
+        self._enter(State.SWITCH_ON_DISABLED)
         self._publish_status()
 
     @property
@@ -230,7 +253,8 @@ class Drive:
     def _publish(self) -> None:
         outputs = self._machine.outputs
         store = self._store
-        store[0x6064, 0] = _wrapped(self._encoder.counts(outputs.motor_position_rad))
+        store[0x6064, 0] = _wrapped(self.sensor.counts(outputs.motor_position_rad))
+        store[0x60E4, 1] = _wrapped(self.load_sensor.counts(outputs.load_angle_rad))
         store[0x606C, 0] = _clipped(outputs.motor_velocity_rad_s * self._counts_per_rad, _INT32)
         store[0x606B, 0] = _clipped(self._demand_now(), _INT32)
         self._publish_current(outputs)
@@ -244,9 +268,8 @@ class Drive:
         return self._demand_increments_s if self.state in POWERED else 0.0
 
     def _publish_status(self) -> None:
-        self._store[0x6041, 0] = (
-            self.state | Status.VOLTAGE_ENABLED | Status.REMOTE | self._mode_bits()
-        )
+        status = self.state | Status.VOLTAGE_ENABLED | Status.REMOTE | self._mode_bits()
+        self._store[0x6041, 0] = self.status_filter(status) if self.status_filter else status
 
     def _mode_bits(self) -> int:
         if self.state is not State.OPERATION_ENABLED:

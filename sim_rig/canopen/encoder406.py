@@ -33,7 +33,7 @@ class Encoder:
         counts = settings.load_counts_per_revolution
         revolutions = min(REVOLUTIONS, 0xFFFFFFFF // counts)
         self._range = counts * revolutions
-        self._sensor = AngleEncoder(
+        self.sensor = AngleEncoder(
             counts,
             settings.load_encoder_noise_rad,
             np.random.default_rng([settings.seed, 2]),
@@ -62,7 +62,7 @@ class Encoder:
         """Nothing here moves."""
 
     def _counts(self) -> int:
-        counts = self._sensor.counts(self._machine.outputs.load_angle_rad)
+        counts = self.sensor.counts(self._machine.outputs.load_angle_rad)
         return -counts if self._store[0x6000, 0] & 1 else counts
 
     def _preset(self, value: int) -> None:

@@ -130,6 +130,10 @@ class Slave:
         self._send(HEARTBEAT + self.node_id, bytes([NmtState.BOOT_UP]))
         self.nmt = NmtState.PRE_OPERATIONAL
 
+    def power_cycle(self, time_us: int) -> None:
+        """Lose power for an instant: everything is forgotten, and the boot-up message comes."""
+        self._obey(NmtCommand.RESET_NODE, time_us)
+
     def receive(self, can_id: int, data: bytes, time_us: int) -> None:
         """One frame from the bus, stamped `time_us`."""
         self._time_us = time_us

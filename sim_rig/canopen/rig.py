@@ -5,9 +5,13 @@ when no SYNC has come for a while (the master died, or has not begun) does it fo
 """
 
 from sim_rig.canopen import drive402, encoder406
+from sim_rig.canopen.cia402 import State
 from sim_rig.canopen.machine import Machine
 from sim_rig.canopen.node import Send, Slave
 from sim_rig.canopen.objects import ObjectStore
+from sim_rig.faults.catalogue import make
+from sim_rig.faults.chain import Chain
+from sim_rig.faults.fault import Targets
 from sim_rig.plant import Plant
 from sim_rig.settings import RigSettings
 
@@ -26,20 +30,47 @@ class Rig:
 
     def __init__(self, settings: RigSettings, plant: Plant, send: Send) -> None:
         self.machine = Machine(plant)
+        self._send = send
+        self._chain: Chain | None = None
         self.drive_node = Slave(
             settings.drive_node_id,
             ObjectStore(drive402.dictionary(settings.drive_node_id)),
-            send,
+            self._outgoing,
         )
         self.encoder_node = Slave(
             settings.encoder_node_id,
             ObjectStore(encoder406.dictionary(settings.encoder_node_id)),
-            send,
+            self._outgoing,
         )
         self.drive = drive402.Drive(self.drive_node, self.machine, settings)
         self.encoder = encoder406.Encoder(self.encoder_node, self.machine, settings)
         self._slaves = (self.drive_node, self.encoder_node)
         self._last_sync_us = 0
+        if settings.faults:
+            self._chain = self._faulty(settings)
+
+    def _faulty(self, settings: RigSettings) -> Chain:
+        drive = self.drive
+        targets = Targets(
+            drive_node=self.drive_node,
+            encoder_node=self.encoder_node,
+            drive=drive,
+            motor_sensor=drive.sensor,
+            load_sensor=self.encoder.sensor,
+            second_sensor=drive.load_sensor,
+        )
+        faults = [
+            make(line, targets, settings.seed, place) for place, line in enumerate(settings.faults)
+        ]
+        return Chain(
+            faults, self._deliver, self._send, lambda: drive.state is State.OPERATION_ENABLED
+        )
+
+    def _outgoing(self, can_id: int, data: bytes) -> None:
+        if self._chain is None:
+            self._send(can_id, data)
+        else:
+            self._chain.outgoing(can_id, data)
 
     def boot(self) -> None:
         """Send both boot-up messages."""
@@ -48,6 +79,12 @@ class Rig:
 
     def receive(self, can_id: int, data: bytes, time_us: int) -> None:
         """One frame from the bus, stamped `time_us`."""
+        if self._chain is None:
+            self._deliver(can_id, data, time_us)
+        else:
+            self._chain.receive(can_id, data, time_us)
+
+    def _deliver(self, can_id: int, data: bytes, time_us: int) -> None:
         if can_id == SYNC:
             self._last_sync_us = time_us
         for slave in self._slaves:
@@ -55,6 +92,8 @@ class Rig:
 
     def tick(self, now_us: int) -> None:
         """Do what is due by now; to be called when all frames that have come are received."""
+        if self._chain is not None:
+            self._chain.tick(now_us)
         if self._is_quiet(now_us):
             self.machine.advance_to(now_us - LAG_US)
         for slave in self._slaves:
@@ -63,7 +102,9 @@ class Rig:
     def wait_us(self, now_us: int) -> int:
         """How long from now `tick` can wait, if no frame comes."""
         moving = self._is_quiet(now_us) and self.drive.moves
-        dues = (slave.due_us() for slave in self._slaves)
+        dues = [slave.due_us() for slave in self._slaves]
+        if self._chain is not None:
+            dues.append(self._chain.due_us())
         waits = [due - now_us for due in dues if due is not None]
         return max(0, min([*waits, MOVING_STEP_US if moving else RESTING_STEP_US]))
 

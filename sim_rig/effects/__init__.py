@@ -30,8 +30,9 @@ How to add an effect: one new file in this folder, and nothing else. Copy the ne
    law was last called. Advance stiff lags by their own exact exponentials. Looking twice must not
    change anything.
 5. `EFFECT = Effect(port=..., params=..., law=..., shows=..., confused_with=(names), source=...)`
-   with `sample={...}`, a plainly visible case (`beside={name: {...}}` if only beside others). `strengths=(...)` if more than the first one must
-   be zero to switch it off.
+   with `sample={...}`, a plainly visible case (`beside={name: {...}}` if only beside others).
+   `strengths=(...)` if more than the first one must be zero to switch it off. Confusion is
+   mutual: every name in `confused_with` names this one.
 
 The contract test (tests/contract_effect.py) asks every file the same questions. Order in a port:
 by name; a law that must come before others says so by its name or by its port.

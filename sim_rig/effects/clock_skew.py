@@ -27,6 +27,6 @@ EFFECT = Effect(
     law=law,
     sample={"skew_fraction": 1e-4},
     shows="a delay that grows in proportion to time",
-    confused_with=("transport_delay", "thermal_friction", "command_scale"),
+    confused_with=("transport_delay", "thermal_friction", "command_scale", "command_offset"),
     source="quartz oscillators: 5 to 100 ppm",
 )

@@ -55,6 +55,6 @@ EFFECT = Effect(
     strengths=("torque_nm", "second_torque_nm", "third_torque_nm"),
     sample={"torque_nm": 0.01, "order": 24.0},
     shows="a line at its order in the position spectrum of current and load angle, at any speed",
-    confused_with=("torque_ripple", "sub_divisional_error"),
+    confused_with=("torque_ripple", "encoder_subdivision", "inverter_dead_time"),
     source="Hendershot, Miller, Design of Brushless Permanent-Magnet Machines (2010), ch. 8",
 )

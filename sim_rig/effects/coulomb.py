@@ -33,6 +33,13 @@ EFFECT = Effect(
     law=law,
     sample={"torque_nm": 0.02},
     shows="odd in velocity; a residual of the same size after each reversal, whatever the level",
-    confused_with=("viscous", "stribeck", "load_friction"),
+    confused_with=(
+        "viscous",
+        "stribeck",
+        "load_friction",
+        "pre_sliding",
+        "thermal_friction",
+        "load_dependent_friction",
+    ),
     source="Coulomb 1785; Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994)",
 )

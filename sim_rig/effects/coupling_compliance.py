@@ -38,6 +38,6 @@ EFFECT = Effect(
     law=law,
     sample={"compliance_rad_per_nm": 5e-3, "damping_s": 3e-4},
     shows="ringing at the resonance; with a gap its frequency depends on amplitude",
-    confused_with=("contact", "pre_sliding", "current_loop_lag"),
+    confused_with=("contact", "pre_sliding", "current_loop_lag", "backlash_width"),
     source="Nordin, Gutman, Automatica 38 (2002)",
 )

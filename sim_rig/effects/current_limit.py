@@ -30,6 +30,6 @@ EFFECT = Effect(
     law=law,
     sample={"limit_per_a": 1.0 / 5.0},
     shows="only after large reversals: acceleration is capped, a knee in its histogram",
-    confused_with=("command_slew", "integrator_clamp"),
+    confused_with=("command_slew", "integrator_clamp", "torque_constant_droop", "anti_windup"),
     source="IEC 61800-7-201 (CiA 402), objects 0x6072 and 0x6073",
 )

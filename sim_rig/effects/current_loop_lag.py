@@ -70,6 +70,12 @@ EFFECT = Effect(
     advance=advance,
     sample={"lag_s": 5e-4},
     shows="phase lag inside the loop: less damping, more overshoot",
-    confused_with=("transport_delay", "velocity_filter_lag", "viscous"),
+    confused_with=(
+        "transport_delay",
+        "velocity_filter_lag",
+        "viscous",
+        "coupling_compliance",
+        "inverter_dead_time",
+    ),
     source="Leonhard, Control of Electrical Drives (2001), ch. 7",
 )

@@ -33,6 +33,12 @@ EFFECT = Effect(
     law=law,
     sample={"amplitude_rad": 1e-3, "phase_rad": 0.5},
     shows="one period in a revolution, added to the load angle at once",
-    confused_with=("gravity_imbalance", "misalignment", "load_torque"),
+    confused_with=(
+        "gravity_imbalance",
+        "misalignment",
+        "load_torque",
+        "position_backlash",
+        "position_friction",
+    ),
     source="Heidenhain, Rotary Encoders (catalogue): 1 um at a radius of 25 mm is 8 arc seconds",
 )

@@ -33,6 +33,6 @@ EFFECT = Effect(
     law=law,
     sample={"torque_nm": 0.02, "phase_rad": 0.7},
     shows="one period in a revolution of torque; decides on which side of the gap the load lies",
-    confused_with=("encoder_eccentricity", "load_torque"),
+    confused_with=("encoder_eccentricity", "load_torque", "position_friction"),
     source="statics",
 )

@@ -27,6 +27,6 @@ EFFECT = Effect(
     law=law,
     sample={"error_fraction": 0.1},
     shows="linear: 2 zeta wn and wn^2 scale alike",
-    confused_with=("torque_constant_error",),
+    confused_with=("torque_constant_error", "thermal_torque_constant"),
     source="an estimate of the load's inertia is rarely better than 10 %",
 )

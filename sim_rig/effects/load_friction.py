@@ -34,6 +34,6 @@ EFFECT = Effect(
     law=law,
     sample={"torque_nm": 0.01},
     shows="as motor friction, but absent while the gap is crossed",
-    confused_with=("coulomb", "contact"),
+    confused_with=("coulomb", "contact", "viscous"),
     source="Nordin, Gutman, Automatica 38 (2002)",
 )

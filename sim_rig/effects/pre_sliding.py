@@ -52,6 +52,6 @@ EFFECT = Effect(
     advance=advance,
     sample={"torque_nm": 0.01},
     shows="hysteresis of angle against current for micro-moves; stiffness falls with amplitude",
-    confused_with=("coupling_compliance", "coulomb", "stribeck"),
+    confused_with=("coupling_compliance", "coulomb", "stribeck", "thermal_friction"),
     source="Dahl, Aerospace Corp. TOR-158 (1968); Canudas de Wit et al., IEEE TAC 40 (1995)",
 )

@@ -27,6 +27,6 @@ EFFECT = Effect(
     law=law,
     sample={"error_fraction": 0.1},
     shows="linear: 2 zeta wn and wn^2 scale alike",
-    confused_with=("inertia_error",),
+    confused_with=("inertia_error", "viscous", "thermal_torque_constant", "torque_constant_droop"),
     source="data sheets of servo motors give K_T within 10 %",
 )

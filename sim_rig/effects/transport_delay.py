@@ -27,6 +27,6 @@ EFFECT = Effect(
     law=law,
     sample={"delay_s": 2e-3},
     shows="residual in proportion to velocity at all edges; the shape does not change",
-    confused_with=("current_loop_lag", "clock_skew", "velocity_filter_lag"),
+    confused_with=("current_loop_lag", "clock_skew", "velocity_filter_lag", "missed_samples"),
     source="a fieldbus takes one or two of its cycles",
 )

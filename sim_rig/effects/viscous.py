@@ -27,6 +27,12 @@ EFFECT = Effect(
     law=law,
     sample={"damping_nm_s_per_rad": 2e-3},
     shows="linear: the best linear approximation changes, no odd distortion",
-    confused_with=("coulomb", "torque_constant_error", "current_loop_lag"),
+    confused_with=(
+        "coulomb",
+        "torque_constant_error",
+        "current_loop_lag",
+        "load_friction",
+        "load_dependent_friction",
+    ),
     source="Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994)",
 )

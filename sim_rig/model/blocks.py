@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from sim_rig.errors import SimulationError
 from sim_rig.model.model import Model
-from sim_rig.model.running import Inputs, checked_durations, play
+from sim_rig.model.running import Inputs, checked_durations, own_array, play
 from sim_rig.model.skeleton import MECHANICS, MOTION
 from sim_rig.model.state import Array, ModelState, Simulated
 
@@ -41,7 +41,7 @@ def controller(
 
     The first value is what the integrator's state at the start makes of the first velocity.
     """
-    commands = np.ascontiguousarray(np.asarray(commands_rad_s, np.float64))
+    commands = own_array(commands_rad_s)
     done = _from_motion(
         model, durations_s, commands, motor_angle_rad, motor_velocity_rad_s, integral_rad, None
     )
@@ -93,7 +93,7 @@ def transmission(
 
 
 def _samples(name: str, values: ArrayLike) -> Array:
-    samples = np.ascontiguousarray(np.asarray(values, np.float64))
+    samples = own_array(values)
     if samples.ndim != 1 or samples.size < 2 or not np.isfinite(samples).all():
         raise SimulationError(
             f"{name} of shape {samples.shape}: give one row of at least two finite samples."

@@ -21,7 +21,7 @@ from sim_rig.effects.effect import Port, Signals
 from sim_rig.errors import EffectError, SimulationError
 from sim_rig.model.engine import engine
 from sim_rig.model.plant import ModelPlant
-from sim_rig.model.running import Inputs, checked_durations, play, run_page
+from sim_rig.model.running import Inputs, checked_durations, own_array, play, run_page
 from sim_rig.model.state import COLUMNS, ModelState, Simulated
 from sim_rig.settings import Nominal
 
@@ -99,7 +99,7 @@ class Model:
 
         Raises SimulationError where shapes or values make no sense, or the simulation runs away.
         """
-        commands = np.ascontiguousarray(np.atleast_1d(np.asarray(commands_rad_s, np.float64)))
+        commands = own_array(commands_rad_s)
         durations = checked_durations(commands, durations_s)
         if not np.isfinite(commands).all():
             raise SimulationError("commands_rad_s: every command must be finite.")

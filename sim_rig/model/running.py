@@ -14,6 +14,11 @@ if TYPE_CHECKING:
     from sim_rig.model.model import Model
 
 
+def own_array(values: ArrayLike) -> Array:
+    """A float array of our own: the compiled page takes no read-only one, and a row at least."""
+    return np.array(values, np.float64, ndmin=1, order="C")
+
+
 def checked_durations(samples: Array, durations_s: ArrayLike) -> Array:
     """One duration for every slot, in whole nanoseconds, so that equal times are equal bits."""
     durations = np.asarray(durations_s, np.float64)

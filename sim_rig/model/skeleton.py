@@ -114,14 +114,14 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
         if mode == MOTION:
             theta, omega = given[k, 0], given[k, 1]
         elapsed = 0.0
-        left = slot_duration_s
         while True:
             while waiting > 0 and state[HEAD] <= elapsed:
                 drive = state[HEAD + 1]
                 waiting -= 1
                 for j in range(2 * waiting):
                     state[HEAD + j] = state[HEAD + j + 2]
-            piece = min(left, state[HEAD] - elapsed) if waiting > 0 else left
+            until = min(slot_duration_s, state[HEAD]) if waiting > 0 else slot_duration_s
+            piece = until - elapsed
             powered = drive == drive  # noqa: PLR0124 - NaN is off
             r = drive if powered and mode == CLOSED else 0.0
             sent = drive if powered else 0.0
@@ -287,9 +287,8 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
                         # port measured_current_a
                         measured_load_angle_rad = load_angle_rad
                         # port measured_load_angle_rad
-            left -= piece
-            elapsed = slot_duration_s - left
-            if left <= 0.0:
+            elapsed = until  # the very number the next command is due at, not one ulp before
+            if elapsed >= slot_duration_s:
                 break
         clock += slot_duration_s
         slot += 1.0

@@ -1,0 +1,209 @@
+"""Drive profiles: what a CiA 402 drive does its own way, as TOML beside its EDS.
+
+A profile says which objects go into which PDO, what a digit is worth, how the period is told, how
+the drive stops and what it watches. The EDS says which objects there are and how long they are;
+what a profile calls optional and an EDS lacks is left out. A new drive needs both files, no code:
+`[drive] profile = "my-drive.toml"`. Shipped ones are named without their ending.
+
+Two names stand for objects that depend on the rig: `load_position` is the drive's second encoder
+(0x60E4:n) where the rig's load angle comes from there, `current` is `[units.current]`'s object.
+"""
+
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from drivers.errors import SettingsError
+
+SHIPPED = Path(__file__).parent.parent / "profiles" / "canopen"
+GENERIC = "generic"
+
+Address: TypeAlias = tuple[int, int]
+"""Index and sub-index of an object."""
+
+CONTROLWORD, STATUSWORD, POSITION, TARGET_VELOCITY = (
+    (0x6040, 0),
+    (0x6041, 0),
+    (0x6064, 0),
+    (0x60FF, 0),
+)
+VELOCITY, TORQUE, TIME_STAMP = (0x606C, 0), (0x6077, 0), (0x1013, 0)
+LOAD_POSITION, CURRENT = "load_position", "current"
+
+
+def _address(text: object) -> Address:
+    """`"0x60E4:2"` as (0x60E4, 2)."""
+    if not isinstance(text, str):
+        raise ValueError(f'{text!r} is no object: write "0x60E4" or "0x60E4:2"')
+    index, _, sub = text.partition(":")
+    address = int(index, 16), int(sub or "0")
+    if not (0x1000 <= address[0] <= 0xFFFF and 0 <= address[1] <= 0xFF):
+        raise ValueError(f"{text!r}: an index is 0x1000 to 0xFFFF, a sub-index 0 to 255")
+    return address
+
+
+def _slot(text: object) -> Address | str:
+    return str(text) if text in (LOAD_POSITION, CURRENT) else _address(text)
+
+
+Object = Annotated[Address, BeforeValidator(_address)]
+PdoObject = Annotated[Address | str, BeforeValidator(_slot)]
+PdoNumber = Annotated[int, Field(ge=1, le=16)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class CommandPdo(_Table):
+    """`[command]`: the RPDO that carries controlword and target velocity."""
+
+    pdo: PdoNumber = 1
+    objects: tuple[Object, ...] = (CONTROLWORD, TARGET_VELOCITY)
+
+    @model_validator(mode="after")
+    def _complete(self) -> "CommandPdo":
+        if self.objects != (CONTROLWORD, TARGET_VELOCITY):
+            raise ValueError("the command PDO holds 0x6040 and 0x60FF, in this order")
+        return self
+
+
+class AnswerPdo(_Table):
+    """`[[answers]]`: one TPDO. `needs` leaves the whole PDO out where that object is not there."""
+
+    pdo: PdoNumber
+    objects: tuple[Object, ...] = ()
+    optional: tuple[PdoObject, ...] = ()
+    needs: PdoObject | None = None
+
+
+class CurrentUnit(_Table):
+    """`[units.current]`: per mille of 0x6075 (mA), or `a_per_digit` where the drive counts so."""
+
+    object: Object = (0x6078, 0)
+    a_per_digit: float | None = Field(default=None, gt=0.0)
+
+
+class Units(_Table):
+    """`[units]`: what digits are worth.
+
+    `ratios` are the objects whose ratio must be the configuration's, where the EDS has them.
+    `velocity_si_unit` (a value of 0x60A9) is what counts where there is no 0x60A9;
+    `set_velocity_si_unit` is written to it where it is finer than the drive's default.
+    `rated_torque_unit_nm` is a digit of 0x6076: 1e-3 by the standard, 1e-6 in some drives.
+    """
+
+    ratios: tuple[Object, ...] = ((0x608F, 0), (0x6091, 0), (0x6092, 0))
+    velocity_si_unit: int = 0x00B50300
+    set_velocity_si_unit: int | None = None
+    rated_torque_unit_nm: float = Field(default=1e-3, gt=0.0)
+    current: CurrentUnit = CurrentUnit()
+
+
+class Timing(_Table):
+    """`[timing]`: how the drive learns the period, and when it acts.
+
+    `interpolation_time` is what goes into 0x60C2: the command's period, SYNC's, or nothing;
+    `interpolation_exponent` is the only exponent the drive takes, where it takes but one.
+    `sync_period_needed` refuses a drive whose EDS has no 0x1006 to write. `command_is_sync`
+    refuses a command slower than SYNC: such drives want 0x1006 and 0x60C2 equal.
+    `command_delay_cycles` is 0 where a command acts at the SYNC that follows it, 1 where it acts
+    one SYNC later. `sync_watchdog_periods` is when the drive faults without SYNC.
+    """
+
+    period_s: tuple[float, float] = (0.0005, 0.255)
+    interpolation_time: Literal["command", "sync", "none"] = "command"
+    interpolation_exponent: int | None = None
+    sync_period_needed: bool = False
+    command_is_sync: bool = False
+    command_delay_cycles: int = Field(default=0, ge=0, le=4)
+    sync_watchdog_periods: float | None = Field(default=None, gt=1.0)
+
+
+class Stopping(_Table):
+    """`[stopping]`: how the drive stops, and what makes it stop by itself.
+
+    `watchdog`: the master's heartbeat (0x1016), the RPDO's event timer (0x1400:5), or none.
+    `quick_stop_option` (0x605A) and `connection_lost_option` (0x6007) are written where the EDS
+    lets them; without a value the drive keeps its own.
+    """
+
+    watchdog: Literal["heartbeat", "rpdo-timer", "none"] = "heartbeat"
+    quick_stop_option: int | None = 2
+    connection_lost_option: int | None = 3
+
+
+class DriveProfile(_Table):
+    """One kind of drive. `vendor_id` is checked where the rig file names none.
+
+    `second_encoder` is the object of the drive's other encoder where it is not 0x60E4:sensor.
+    """
+
+    title: str
+    sources: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    vendor_id: int | None = None
+    modes: tuple[Literal["csv", "pv"], ...] = ("csv", "pv")
+    mapping: Literal["writable", "fixed"] = "writable"
+    second_encoder: Object | None = None
+    command: CommandPdo = CommandPdo()
+    answers: tuple[AnswerPdo, ...]
+    units: Units = Units()
+    timing: Timing = Timing()
+    stopping: Stopping = Stopping()
+
+    @model_validator(mode="after")
+    def _answers_hold_what_is_needed(self) -> "DriveProfile":
+        mapped = [entry for answer in self.answers for entry in answer.objects + answer.optional]
+        for needed in (STATUSWORD, POSITION):
+            if needed not in [entry for answer in self.answers for entry in answer.objects]:
+                raise ValueError(f"no answer holds 0x{needed[0]:04X} among its objects")
+        if len(set(mapped)) != len(mapped):
+            raise ValueError("an object is in two answers, or twice in one")
+        if len({answer.pdo for answer in self.answers}) != len(self.answers):
+            raise ValueError("two answers have the same pdo number")
+        return self
+
+    @property
+    def offers_load_position(self) -> bool:
+        """Whether the drive can hand out a second encoder."""
+        return any(LOAD_POSITION in answer.optional for answer in self.answers)
+
+
+def profile_names() -> tuple[str, ...]:
+    """The profiles that ship, by name."""
+    return tuple(sorted(path.stem for path in SHIPPED.glob("*.toml")))
+
+
+@cache
+def load_profile(name: str) -> DriveProfile:
+    """A shipped profile by its name, or the one in a TOML file.
+
+    Raises SettingsError where there is none, or where it says what a profile cannot.
+    """
+    path = Path(name) if name.endswith(".toml") else SHIPPED / f"{name}.toml"
+    try:
+        table = tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise SettingsError(
+            f"there is no drive profile {name!r} ({error.strerror}: {path}). Choose one of "
+            f"{', '.join(profile_names())}, or give the path of a TOML file."
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SettingsError(f"{path} is not TOML: {error}. Mend that line.") from error
+    try:
+        return DriveProfile.model_validate(table)
+    except ValidationError as error:
+        reasons = "; ".join(
+            f"{'.'.join(str(part) for part in item['loc']) or '(file)'}: {item['msg']}"
+            for item in error.errors(include_url=False)
+        )
+        raise SettingsError(f"{path} is no drive profile: {reasons}. Correct these.") from error
+
+
+def generic() -> DriveProfile:
+    """The profile of a drive that keeps to CiA 402."""
+    return load_profile(GENERIC)

@@ -1,0 +1,237 @@
+"""A drive on Modbus TCP or RTU, and the encoder that hangs on it, as one `drivers.axis.Axis`.
+
+    enter:  open the line → identity, ratings → watchdog → reset of a fault → velocity 0 → enable
+    leave:  velocity 0 and stop → at rest → disable → watchdog off → close, whatever was raised
+
+One thread does everything. A drive with a communication timeout stops by itself when this master
+falls silent: command at least that often (`ModbusSettings.own_stop_s`).
+"""
+
+import math
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Self
+
+from drivers.axis import Sample, WireEvent
+from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.errors import DriveError, DriverError, WireError
+from drivers.modbus import profile as names
+from drivers.modbus.cycle import Cycle
+from drivers.modbus.lines import TcpLine
+from drivers.modbus.link import Link
+from drivers.modbus.rtu import RtuLink
+from drivers.modbus.settings import ModbusSettings
+from drivers.modbus.setup import Registers, arm_watchdog, check_identity, read_scale
+from drivers.modbus.tcp import TcpLink
+from drivers.modbus.watch import Watch
+
+STANDSTILL_RAD_S = 0.05
+"""A shaft slower than this, between two readings, is believed to stand."""
+_LOOK_S = 0.02
+_STANDSTILL_COUNTS = 1
+
+
+class ModbusAxis:
+    """One axis on Modbus; see `drivers.axis.Axis`.
+
+    Entering raises SettingsError, WireError, or DriveError and leaves nothing enabled. Leaving
+    raises WireError where the drive did not confirm its stop and nothing else is being raised;
+    otherwise that is added to the other exception as a note.
+    """
+
+    def __init__(self, settings: ModbusSettings, clock: Clock = SYSTEM_CLOCK) -> None:
+        self._settings = settings
+        self._profile = settings.drive.profile
+        self._clock = clock
+        self._reset()
+
+    def _reset(self) -> None:
+        self._watch = Watch()
+        self._link: Link | None = None
+        self._cycle: Cycle | None = None
+        self._touched = False  # whether the drive has been told anything that must be undone
+
+    def __enter__(self) -> Self:
+        self._reset()
+        try:
+            self._cycle = self._set_up()
+        except BaseException as error:
+            self._leave(error)
+            raise
+        self._cycle.guarded = True
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._leave(error)
+
+    def command(self, velocity_rad_s: float, slot: int) -> int:
+        """Send the set-point of this slot and ask for its sample; the time just before, in ns.
+
+        Raises WireError when the line fails, SettingsError for a velocity that does not fit.
+        """
+        return self._running().ask(velocity_rad_s, slot)
+
+    def samples(self, until_ns: int) -> Sequence[Sample]:
+        """Samples settled since the last call; see `drivers.axis.Axis`. WireError as `command`."""
+        cycle = self._running()
+        cycle.receive(until_ns)
+        return cycle.samples()
+
+    def events(self) -> Sequence[WireEvent]:
+        """What else happened on the wire, from set-up on, since the last call."""
+        return self._watch.drain()
+
+    def _running(self) -> Cycle:
+        if self._cycle is None:
+            raise WireError("this axis has not been entered. Use it inside its `with` block.")
+        return self._cycle
+
+    def _note(self, kind: str, text: str) -> None:
+        self._watch.tell(self._clock.now_ns(), kind, text)
+
+    def _open(self) -> Link:
+        settings, drive = self._settings, self._settings.drive
+        if isinstance(settings.line, TcpLine):
+            return TcpLink(settings.line, drive.unit, self._clock)
+        silence_s = self._profile.timing.silent_interval_s
+        return RtuLink(settings.line, drive.unit, silence_s, self._clock)
+
+    def _set_up(self) -> Cycle:
+        settings, profile = self._settings, self._profile
+        self._link = link = self._open()
+        registers = Registers(link, settings, self._clock)
+        check_identity(registers, settings)
+        scale = read_scale(registers, settings, self._note)
+        self._refuse_a_drive_in_use(registers)
+        self._touched = True
+        until_ns = self._clock.now_ns() + round(settings.drive.enable_timeout_s * 1e9)
+        registers.follow(profile.set_up, until_ns)
+        arm_watchdog(registers, settings, self._note)
+        self._reset_fault(registers, until_ns)
+        registers.write(names.TARGET, 0)
+        registers.follow(profile.enable, until_ns)
+        status = registers.status()
+        if not profile.bits.enabled.hold(status):
+            raise DriveError(
+                f"{link.name} took every step of its enabling, but its statusword is "
+                f"0x{status:04X}{registers.error_text()}. See its display and its enable input."
+            )
+        return Cycle(link, settings, scale, self._watch, self._clock)
+
+    def _refuse_a_drive_in_use(self, registers: Registers) -> None:
+        """Somebody else's drive is not taken over while it turns."""
+        status = registers.status()
+        if self._profile.bits.enabled.hold(status):
+            raise DriveError(
+                f"{registers.link.name} is enabled already (statusword 0x{status:04X}): somebody "
+                "else drives it, or a run has ended without stopping it. Stop it there, or switch "
+                "the drive off and on."
+            )
+
+    def _reset_fault(self, registers: Registers, until_ns: int) -> None:
+        fault = self._profile.bits.fault
+        if not fault.hold(registers.status()):
+            return
+        code = registers.error_text()
+        self._note("fault reset", f"{registers.link.name} is in fault{code}: it gets one reset.")
+        registers.follow(self._profile.reset, until_ns)
+        if fault.hold(registers.status()):
+            raise DriveError(
+                f"{registers.link.name} is in fault and a reset did not clear it{code}. Remove its "
+                "cause (the drive's display tells more), then run again."
+            )
+
+    def _leave(self, active: BaseException | None) -> None:
+        """Stop, power off, close. Every step is tried, whatever the one before it did."""
+        link, self._link, self._cycle = self._link, None, None
+        if link is None:
+            return
+        problem = None
+        try:
+            if self._touched:
+                problem = self._stop(link)
+        finally:
+            link.close()
+        if problem is not None:
+            if active is None:
+                raise WireError(problem)
+            active.add_note(problem)
+
+    def _stop(self, link: Link) -> str | None:
+        """Bring the drive to rest and power it off; what is wrong, or None when confirmed.
+
+        A line that fails on the way is opened once more: a drive that turns is worth a second try.
+        """
+        try:
+            return self._stop_over(link)
+        except WireError as first:
+            link.close()
+            try:
+                again = self._open()
+            except DriverError:
+                return self._not_confirmed(str(first))
+            try:
+                return self._stop_over(again)
+            except DriverError as second:
+                return self._not_confirmed(str(second))
+            finally:
+                again.close()
+        except DriveError as refused:
+            return self._not_confirmed(str(refused))
+
+    def _stop_over(self, link: Link) -> str | None:
+        link.abandon()
+        registers = Registers(link, self._settings, self._clock)
+        drive, profile = self._settings.drive, self._profile
+        until_ns = self._clock.now_ns() + round(drive.stop_timeout_s * 1e9)
+        registers.write(names.TARGET, 0)
+        try:
+            registers.follow(profile.stop, until_ns)
+            stands = self._stands(registers, until_ns)
+        finally:  # a drive that does not stop is switched off all the same
+            registers.follow(profile.disable, until_ns + round(drive.stop_timeout_s * 1e9))
+        status = registers.status()
+        if profile.bits.enabled.hold(status):
+            return self._not_confirmed(f"its statusword is still 0x{status:04X}")
+        if not stands:
+            return self._not_confirmed("its position says that the shaft still turns: it coasts")
+        if profile.watchdog is not None:
+            registers.write(profile.watchdog.item, 0)
+        return None
+
+    def _stands(self, registers: Registers, until_ns: int) -> bool:
+        """Whether two readings of the position, a while apart, are the same."""
+        drive = self._settings.drive
+        rad_per_count = math.tau / (drive.counts_per_revolution * drive.gear_ratio)
+        modulus = self._profile.items[names.POSITION].modulus
+        before = int(registers.state()[names.POSITION])
+        before_ns = self._clock.now_ns()
+        while True:
+            self._clock.sleep_s(_LOOK_S)
+            position = int(registers.state()[names.POSITION])
+            now_ns = self._clock.now_ns()
+            moved = abs((position - before + modulus // 2) % modulus - modulus // 2)
+            slow = moved * rad_per_count / ((now_ns - before_ns) * 1e-9) < STANDSTILL_RAD_S
+            if slow or moved <= _STANDSTILL_COUNTS:
+                return True
+            if now_ns >= until_ns:
+                return False
+            before, before_ns = position, now_ns
+
+    def _not_confirmed(self, reason: str) -> str:
+        own_stop_s, watchdog = self._settings.own_stop_s, self._profile.watchdog
+        own_stop = (
+            "it has no communication timeout and may still turn"
+            if own_stop_s is None or watchdog is None
+            else f"{watchdog.action} {own_stop_s:g} s after its master's last word"
+        )
+        unit = self._settings.drive.unit
+        return (
+            f"drive {unit} did not confirm its stop ({reason.rstrip('.')}). If it is still "
+            f"powered: {own_stop}. Use the emergency stop if the shaft turns."
+        )

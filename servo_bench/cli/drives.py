@@ -7,7 +7,14 @@ from rich.console import Console
 from rich.table import Table
 
 from drivers.canopen.profile import DriveProfile, load_profile, profile_names
+from drivers.modbus import library as modbus
+from drivers.modbus.budget import shortest_period
+from drivers.modbus.lines import Line, RtuLine, TcpLine
+from drivers.modbus.profile import LOAD
+from drivers.modbus.profile import DriveProfile as RegisterMap
 from servo_bench.errors import gathered
+
+Lines = list[str]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -19,14 +26,31 @@ def drives(
     name: Annotated[
         str | None, typer.Argument(help="One profile, by name or as a TOML file, in full.")
     ] = None,
+    modbus_only: Annotated[
+        bool, typer.Option("--modbus", help="NAME is a register map, for a drive on Modbus.")
+    ] = False,
 ) -> None:
-    """List the drive profiles for `[drive] profile`; a new drive needs a TOML and its EDS."""
+    """List the drive profiles that a rig file can name; a new drive needs a TOML file and no code.
+
+    On CANopen it needs its EDS as well.
+    """
     console = Console()
-    if name is not None:
-        with gathered():
-            _describe(name, load_profile(name), console)
+    if name is None:
+        console.print(_canopen_table())
+        console.print(_modbus_table())
         return
+    with gathered():
+        if modbus_only or (name in modbus.profile_names() and name not in profile_names()):
+            lines = _describe_map(name, modbus.load_profile(name))
+        else:
+            lines = _describe(name, load_profile(name))
+    for line in lines:
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _canopen_table() -> Table:
     table = Table("profile", "drive", "modes", "second encoder", "stops by itself on")
+    table.title = "CANopen"
     for each in profile_names():
         profile = load_profile(each)
         table.add_row(
@@ -36,13 +60,34 @@ def drives(
             "0x60E4" if profile.offers_load_position else "-",
             profile.stopping.watchdog,
         )
-    console.print(table)
+    return table
 
 
-def _describe(name: str, profile: DriveProfile, console: Console) -> None:
+def _modbus_table() -> Table:
+    table = Table("profile", "drive", "lines", "second encoder", "stops by itself")
+    table.title = "Modbus (--modbus NAME tells more)"
+    for each in modbus.profile_names():
+        profile = modbus.load_profile(each)
+        table.add_row(
+            each,
+            profile.title,
+            ", ".join(profile.transports),
+            f"register {profile.items[LOAD].address}" if LOAD in profile.items else "-",
+            _own_stop(profile),
+        )
+    return table
+
+
+def _own_stop(profile: RegisterMap) -> str:
+    if not profile.is_commanded:
+        return "is read, not driven"
+    return f"after {profile.watchdog.range_s[0]:g} s or more" if profile.watchdog else "does not"
+
+
+def _describe(name: str, profile: DriveProfile) -> Lines:
     timing, stopping = profile.timing, profile.stopping
     shortest_s, longest_s = timing.period_s
-    lines = [
+    return [
         f"{name}: {profile.title}",
         f"modes {', '.join(profile.modes)}; period {shortest_s * 1e3:g} to {longest_s * 1e3:g} ms; "
         f"0x60C2 gets {timing.interpolation_time}; a command acts "
@@ -52,5 +97,18 @@ def _describe(name: str, profile: DriveProfile, console: Console) -> None:
         *(f"note: {note}" for note in profile.notes),
         *(f"source: {source}" for source in profile.sources),
     ]
-    for line in lines:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _describe_map(name: str, profile: RegisterMap) -> Lines:
+    lines: list[tuple[str, Line]] = []
+    if "modbus-tcp" in profile.transports:
+        lines.append(("TCP", TcpLine("any")))
+    if "modbus-rtu" in profile.transports:
+        lines.append(("RTU", RtuLine("any", max(profile.timing.baud_rates))))
+    return [
+        f"{name}: {profile.title}",
+        *(f"shortest period, {kind}: {shortest_period(profile, line)}" for kind, line in lines),
+        f"stops by itself: {_own_stop(profile)}",
+        *(f"note: {note}" for note in profile.notes),
+        *(f"source: {source}" for source in profile.sources),
+    ]

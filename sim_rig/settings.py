@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from sim_rig.errors import RigSettingsError
 from sim_rig.faults.catalogue import parse
+from sim_rig.modbus import orders
 
 BusOptions = Mapping[str, str | int | float | bool]
 """The keyword arguments of `can.Bus`: interface, channel, and what that interface wants."""
@@ -76,7 +77,8 @@ class RigSettings:
     else's. Encoder noise is white, per sample,
     before quantisation. `host_hub` starts the TCP bus hub that a socketcand bus on loopback needs.
     `rated_torque_nm` is what 0x6077 is per mille of (0x6076). `faults` are lines as in
-    `sim_rig.faults.catalogue`. `protocol` is the wire: on Modbus the drive's node id is its unit
+    `sim_rig.faults.catalogue`. `protocol` is the wire (faults on
+    Modbus: `sim_rig.modbus.orders`): there the drive's node id is its unit
     id, the load's encoder hangs on the drive, and `bus` is host and port, or baud_rate, parity,
     stop_bits, and turnaround_s of the pty that the rig opens.
 
@@ -109,7 +111,10 @@ class RigSettings:
                 f"effects are given for plant = {self.plant!r}: only {OWN_MODEL!r} has them."
             )
         for line in self.faults:
-            parse(line)
+            if self.protocol == CANOPEN:
+                parse(line)
+            else:
+                orders.parse(line)
         nodes = (self.drive_node_id, self.encoder_node_id)
         if not all(1 <= node <= 127 for node in nodes) or nodes[0] == nodes[1]:
             raise RigSettingsError(

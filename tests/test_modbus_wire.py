@@ -2,8 +2,10 @@
 
 import os
 import select
+import shutil
 import signal
 import socket
+import subprocess
 import termios
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -244,3 +246,81 @@ def test_a_rig_that_dies_mid_run_is_named_and_the_recording_kept(
     with pytest.raises(SimRigError, match="ended while it was needed"):
         running.__exit__(None, None, None)
     assert len(load(out)) >= 60
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind"),
+    [
+        ("lost at=30 count=2", "answer lost"),
+        ("late at=30", "answer lost"),
+        ("damaged at=30", "answer lost"),
+        ("exception at=30 code=6 count=3", "exception reply"),
+        ("duplicated at=10 count=50", None),
+    ],
+)
+@pytest.mark.parametrize("name", ["modbus-tcp", "modbus-rtu"])
+def test_ordered_faults_are_named_and_leave_no_wrong_value(
+    name: str, fault: str, kind: str | None
+) -> None:
+    """The device's own time says when a sample was taken: never before its slot's ask."""
+    config = load_rig(f"rigs/{name}.toml").on_a_free_port().with_faults(fault)
+    with spawn(config.simulation_settings()) as running:
+        rig = config.with_bus(**running.bus)
+        with open_axis(rig, PERIOD_S) as axis:
+            samples = play(axis, [0.5] * 70, PERIOD_S)
+            events = list(axis.events())
+        assert_standing(rig)
+    assert [event.text for event in events if event.fatal] == []
+    assert kind is None or kind in [event.kind for event in events]
+    known = [s for s in samples if s.device_time_us is not None]
+    assert len(known) >= 20
+    for sample in known:
+        taken_us = (sample.asked_ns // 1000) & 0xFFFFFFFF
+        assert ((sample.device_time_us or 0) - taken_us + 2) & 0xFFFFFFFF < 1 << 31, sample
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("bus-off", "no 'bus-off' on Modbus"),
+        ("lost code=3", "lost has no 'code'"),
+        ("late at=x", "is no whole number"),
+        ("lost count=0", "count 1 or more"),
+    ],
+)
+def test_faults_that_cannot_be_ordered(fault: str, words: str) -> None:
+    config = load_rig("rigs/modbus-tcp.toml").with_faults(fault)
+    with pytest.raises(ConfigError, match=words):
+        config.simulation_settings()
+
+
+@pytest.mark.skipif(shutil.which("socat") is None, reason="socat is not here")
+def test_a_network_path_that_dies_leaves_a_drive_that_stops_by_itself(
+    tcp_rig: RigConfig, tmp_path: Path
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    ends = (
+        f"TCP-LISTEN:{port},bind=127.0.0.1,nodelay,reuseaddr",
+        (f"TCP:127.0.0.1:{tcp_rig.bus['port']},nodelay"),
+    )
+    with subprocess.Popen(["socat", *ends]) as path:
+        until_listening(port)
+        cut = stop_after(60, path.kill)
+        with pytest.raises(WireError, match=r"is gone.*did not confirm its stop.*by itself"):
+            run(experiment(30.0), tcp_rig.with_bus(port=port), tmp_path / "run.mcap", progress=cut)
+    own_stop_s = tcp_rig.modbus_settings(PERIOD_S).own_stop_s
+    assert own_stop_s is not None
+    SYSTEM_CLOCK.sleep_s(own_stop_s + 0.3)
+    word, *_, error = state(tcp_rig)
+    assert (word & 0x4F, error) == (0x08, 0x8130)
+    assert_standing(tcp_rig)
+    assert len(load(tmp_path / "run.mcap")) >= 60
+
+
+def until_listening(port: int) -> None:
+    """Without connecting: socat would take that for its only customer."""
+    row = f"0100007F:{port:04X} 00000000:0000 0A"
+    until_ns = SYSTEM_CLOCK.now_ns() + 10_000_000_000
+    while row not in Path("/proc/net/tcp").read_text():
+        assert SYSTEM_CLOCK.now_ns() < until_ns, "socat did not listen"

@@ -107,9 +107,10 @@ class ModbusAxis:
         registers = Registers(link, settings, self._clock)
         check_identity(registers, settings)
         scale = read_scale(registers, settings, self._note)
+        until_ns = self._clock.now_ns() + round(settings.drive.enable_timeout_s * 1e9)
+        registers.follow(profile.prepare, until_ns)
         self._refuse_a_drive_in_use(registers)
         self._touched = True
-        until_ns = self._clock.now_ns() + round(settings.drive.enable_timeout_s * 1e9)
         registers.follow(profile.set_up, until_ns)
         arm_watchdog(registers, settings, self._note)
         self._reset_fault(registers, until_ns)

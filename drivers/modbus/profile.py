@@ -141,6 +141,8 @@ class DriveProfile(Table):
     status: Status | None = None
     identity: dict[str, int] = Field(default_factory=dict)
     watchdog: Watchdog | None = None
+    prepare: tuple[Step, ...] = ()
+    """What must be written before the statusword can be read; nothing that moves or stops."""
     set_up: tuple[Step, ...] = ()
     reset: tuple[Step, ...] = ()
     enable: tuple[Step, ...] = ()
@@ -149,9 +151,8 @@ class DriveProfile(Table):
 
     @model_validator(mode="after")
     def _names_are_known(self) -> "DriveProfile":
-        steps = (*self.set_up, *self.reset, *self.enable, *self.stop, *self.disable)
         read = [name for block in self.cycle.read for name in block]
-        used = [*self.cycle.write, *read, *self.identity, *(step.write for step in steps)]
+        used = [*self.cycle.write, *read, *self.identity, *(step.write for step in self.steps)]
         used += [self.watchdog.item] if self.watchdog else []
         missing = sorted(set(used) - set(self.items))
         if missing:
@@ -184,11 +185,17 @@ class DriveProfile(Table):
 
     @model_validator(mode="after")
     def _steps_fit(self) -> "DriveProfile":
-        for step in (*self.set_up, *self.reset, *self.enable, *self.stop, *self.disable):
+        for step in self.steps:
             self.codec(step.write).encode(step.value)
         for name, digits in self.cycle.values.items():
             self.codec(name).encode(digits)
         return self
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """Every step of every sequence."""
+        first = (*self.prepare, *self.set_up, *self.reset)
+        return (*first, *self.enable, *self.stop, *self.disable)
 
     @property
     def bits(self) -> Status:

@@ -12,9 +12,12 @@ import canopen
 from pymodbus.constants import ExcCodes
 
 from sim_rig.canopen import drive402
+from sim_rig.canopen.cia402 import State
 from sim_rig.canopen.machine import Machine
 from sim_rig.canopen.node import Slave
 from sim_rig.canopen.objects import ObjectStore
+from sim_rig.modbus.faults import Answers
+from sim_rig.modbus.orders import parse
 from sim_rig.modbus.table import BY_REGISTER, PRODUCT, VENDOR, Entry, Own
 from sim_rig.plant import Plant
 from sim_rig.settings import RigSettings
@@ -42,7 +45,13 @@ class ModbusDrive:
         self._load_counts = settings.load_counts_per_revolution
         self._timeout_us = 0
         self._last_request_us: int | None = None
-        self._told_us = 0
+        orders = [parse(line) for line in settings.faults]
+        self.outgoing = Answers(
+            orders, rtu=settings.protocol == "modbus-rtu", enabled=self._is_enabled
+        )
+
+    def _is_enabled(self) -> bool:
+        return self._drive.state is State.OPERATION_ENABLED
 
     def request_arrived(self, time_us: int) -> None:
         """A request's last byte came at `time_us`: the machine is brought there."""

@@ -117,7 +117,9 @@ class PtyLine:
         except ModbusException:
             answer = ExceptionResponse(request.function_code, 1)
         answer.dev_id = self._drive.unit
-        frame = self._framer.buildFrame(answer)
+        frame = self._drive.outgoing(self._framer.buildFrame(answer))
+        if not frame:
+            return
         timing = self._timing
         done_s = timing.t35_s + timing.turnaround_s + len(frame) * timing.character_s
         self._loop.call_at(self._last_byte_s + done_s, os.write, self._near, frame)

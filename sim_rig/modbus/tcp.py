@@ -37,8 +37,9 @@ async def listening(drive: ModbusDrive, bus: BusOptions) -> AsyncIterator[dict[s
     address = check(bus)
 
     def stamp(sending: bool, data: bytes) -> bytes:
-        if not sending:
-            drive.request_arrived(time.monotonic_ns() // 1000)
+        if sending:
+            return drive.outgoing(data)
+        drive.request_arrived(time.monotonic_ns() // 1000)
         return data
 
     server = ModbusTcpServer(_device(drive), address=address, trace_packet=stamp)

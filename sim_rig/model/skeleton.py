@@ -98,7 +98,7 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
         command_delay_s = 0.0
         on = slot_command_rad_s == slot_command_rad_s  # noqa: PLR0124 - NaN is off
         if on:
-            step_s, since_s = 0.0, slot_duration_s
+            step_s, since_s, time_s = 0.0, slot_duration_s, clock
             # port slot_command_rad_s
             # port command_delay_s
         if not on or (command_delay_s <= 0.0 and waiting == 0):

@@ -7,7 +7,8 @@
     ├── LimitError       the rig left the limits of its configuration          exit code 5
     ├── RecordingError   a recording is missing, cut, or not one of ours       exit code 6
     ├── FitError         an estimate cannot be made from these data            exit code 7
-    └── RigError         the software rig failed or did not start              exit code 8
+    ├── RigError         the software rig failed or did not start              exit code 8
+    └── BusyError        the rig, or what guards it, is in somebody's hands    exit code 9
 
 `drivers` and `sim_rig` own errors of their own; `gathered()` turns them into these at the border.
 A message says what happened, what was seen, what is allowed, and what to do next.
@@ -66,6 +67,12 @@ class RigError(BenchError):
     """The software rig failed or did not start."""
 
     exit_code = 8
+
+
+class BusyError(BenchError):
+    """The rig, or what guards it, is in somebody's hands; the message says in whose."""
+
+    exit_code = 9
 
 
 @contextmanager

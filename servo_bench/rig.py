@@ -70,7 +70,8 @@ class SecondEncoderConfig(Value):
 class DriveConfig(NodeConfig):
     """`[drive]`: the CiA 402 drive.
 
-    `profile` names a drive profile (`servo-bench drives` lists them) or a TOML file of one.
+    `profile` names a drive profile (`servo-bench drives` lists them) or a TOML file of one;
+    `without_watchdog` acknowledges a drive that does not stop by itself when the bench dies.
     `stuck_travel_rad` is how far the motor may turn before the load must have moved at all.
     """
 
@@ -81,6 +82,7 @@ class DriveConfig(NodeConfig):
     mode: Literal["csv", "pv"] = "csv"
     heartbeat_s: Interval = 0.1
     heartbeat_timeout_s: Interval = 0.3
+    without_watchdog: bool = False
     enable_timeout_s: Interval = 2.0
     stop_timeout_s: Interval = 2.0
     sdo_timeout_s: Interval = 0.5
@@ -104,6 +106,7 @@ class DriveConfig(NodeConfig):
             sdo_timeout_s=self.sdo_timeout_s,
             profile=profile,
             second_encoder=SecondEncoder(**second.model_dump()) if second else None,
+            without_watchdog=self.without_watchdog,
         )
 
 
@@ -178,11 +181,17 @@ class Limits(Value):
     """`[limits]`: checked before the drive is enabled and in every period after.
 
     Travel is the load's and the motor's distance from where the run began, to either side.
+    `torque_nm` is the drive's own figure, and `drive_temperature_c` is asked of the drive once a
+    second, where it has them. `blind_s` is the longest time without a slot played: cycles missed
+    in a row, or a bus loop that hangs. `servo_bench.run.supervisor` watches all of them.
     """
 
     velocity_rad_s: PositiveFloat
     travel_rad: PositiveFloat
     run_time_s: PositiveFloat
+    torque_nm: PositiveFloat | None = None
+    drive_temperature_c: float | None = None
+    blind_s: PositiveFloat = 0.2
 
 
 class SimulatedConfig(Value):

@@ -432,6 +432,7 @@ class FakeRig:
             drive=replace(DriveSettings(drive_node, 65536), **drive),
             encoder=EncoderSettings(encoder_node, 65536) if encoder else None,
             period_s=period_s,
+            stuck_travel_rad=10.0,  # its encoder counts on by itself, whatever the motor does
         )
 
     def axis(self, settings: CanopenSettings | None = None, **changes: Any) -> CanopenAxis:

@@ -12,6 +12,8 @@ missing, or fewer than 99 % are the right ones.
 import argparse
 import json
 import logging
+import os
+import platform
 import signal
 import sys
 import tempfile
@@ -19,6 +21,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from types import FrameType
@@ -251,6 +254,9 @@ def main(arguments: list[str] | None = None) -> int:
     started_s = time.monotonic()
     figures = judged((wire_campaign if options.wire else campaign)(options.count, options.seed))
     figures["seed"] = options.seed
+    figures["wire"] = options.wire
+    figures["date"] = datetime.now(UTC).date().isoformat()
+    figures["machine"] = f"{os.cpu_count()} CPUs, shared, {platform.system()}, {platform.machine()}"
     figures["wall_s"] = round(time.monotonic() - started_s, 1)
     text = json.dumps(figures, indent=1)
     if options.json:

@@ -296,7 +296,7 @@ def test_a_drive_that_falls_silent_is_told_and_its_unseen_stop_too(rig: FakeRig)
 
 def test_an_unseen_stop_never_hides_what_was_raised(rig: FakeRig) -> None:
     def session() -> None:
-        with rig.axis(without=(0x1016,)) as axis:
+        with rig.axis(without=(0x1016,), without_watchdog=True) as axis:
             unplug(rig)()
             axis.command(1.0, 0)
             raise KeyError("mine")

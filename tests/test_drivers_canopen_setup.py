@@ -75,7 +75,10 @@ def test_a_velocity_in_milli_rpm_a_gear_and_a_direction_are_scaled(rig: FakeRig)
 
 def test_what_an_eds_lacks_is_done_without_and_said(rig: FakeRig) -> None:
     without = (0x1013, 0x1016, 0x1017, 0x1006, 0x60A9, 0x608F, 0x6076, 0x6007, 0x60C2, 0x6502)
-    with rig.axis(without=without) as axis:
+    with pytest.raises(SettingsError, match=r"no 0x1016: .*drive\.without_watchdog"):
+        rig.axis(without=without).__enter__()
+    rig.world.closed = 0
+    with rig.axis(without=without, without_watchdog=True) as axis:
         axis.command(0.5, 0)
         (sample,) = axis.samples(rig.world.clock.now_ns())
         kinds = {event.kind for event in axis.events()}

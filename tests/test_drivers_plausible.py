@@ -8,8 +8,8 @@ import can
 import numpy as np
 import pytest
 
-from drivers.canopen.plausible import LAG_S, Plausibility
 from drivers.canopen.settings import SecondEncoder
+from drivers.plausible import DISAGREE, LAG_S, Plausibility
 from tests.fake_canopen import FakeRig
 from tests.virtual_rig import VirtualRig, install
 
@@ -91,14 +91,26 @@ def test_play_between_motor_and_load_is_honest() -> None:
 def test_a_load_that_stays_is_found_when_the_motor_has_turned_by_the_travel() -> None:
     command = np.full(200, 1.0)
     heard = told(command, load_rad=np.zeros(200))
-    assert heard == {"load does not move": math.floor(TRAVEL_RAD / PERIOD_S) + 1}
+    assert heard.pop("load does not move") == math.floor(TRAVEL_RAD / PERIOD_S) + 1
+    assert heard == {"encoders disagree": math.floor(DISAGREE * TRAVEL_RAD / PERIOD_S) + 1}
+
+
+@pytest.mark.parametrize("scale", [-1.0, 0.5, 2.0])
+def test_encoders_that_count_the_same_shaft_differently_disagree(scale: float) -> None:
+    command = np.full(200, 1.0)
+    turning = np.cumsum(command) * PERIOD_S
+    heard = told(command, motor_rad=turning, load_rad=scale * turning)
+    assert set(heard) == {"encoders disagree"}
+    least_s = DISAGREE * TRAVEL_RAD / abs(scale - 1.0)
+    assert heard["encoders disagree"] == pytest.approx(least_s / PERIOD_S, abs=2)
 
 
 def test_a_motor_encoder_that_stays_is_found_by_load_and_command() -> None:
     command = np.full(200, 1.0)
     turning = np.cumsum(command) * PERIOD_S
     heard = told(command, motor_rad=np.zeros(200), load_rad=turning)
-    assert set(heard) == {"motor encoder stuck", "motor does not move"}
+    assert set(heard) == {"motor encoder stuck", "motor does not move", "encoders disagree"}
+    assert heard.pop("encoders disagree") > TRAVEL_RAD / PERIOD_S + 2
     assert max(heard.values()) <= TRAVEL_RAD / PERIOD_S + 2
 
 
@@ -115,7 +127,8 @@ def test_the_drives_second_encoder_is_the_load_of_a_rig_without_another() -> Non
     second = SecondEncoder(counts_per_revolution=65536, direction=-1)
     plain = world.canopen_settings()
     drive = replace(plain.drive, second_encoder=second)
-    settings = replace(plain, drive=drive, encoder=None)
+    # this rig's encoder counts forwards: told to be mounted backwards, it goes another way
+    settings = replace(plain, drive=drive, encoder=None, stuck_travel_rad=10.0)
     samples = []
     with world.axis(settings) as axis:
         for slot in range(100):

@@ -7,7 +7,7 @@ import signal
 import socket
 import subprocess
 import termios
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -26,6 +26,7 @@ from servo_bench.run.session import run
 from sim_rig.errors import SimRigError
 from sim_rig.process import spawn
 from tests.contract_axis import check_axis, play
+from tests.kill_campaign import children
 from tests.modbus_peer import rtu_frame, tcp_frame
 from tests.test_run_session import experiment, signal_bus_process, start_program, stop_after
 
@@ -201,25 +202,30 @@ def kill_whole_bench(rig: RigConfig, folder: Path) -> None:
         for line in process.stdout:
             if int(line.split()[1]) > 60:
                 break
-        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-        for child in children:  # else the bus process would hear of it, and stop the rig itself
-            os.kill(int(child), signal.SIGKILL)
+        (loop,) = children(process.pid)
+        (supervisor,) = children(loop)
+        for pid in (supervisor, loop):  # else one would hear of it, and stop the rig itself
+            os.kill(pid, signal.SIGKILL)
         process.kill()
         process.wait()
 
 
-def kill_bus_process(rig: RigConfig, folder: Path) -> None:
+def test_kill_9_of_the_bus_process_and_its_supervisor_stops_the_drive(
+    rig: RigConfig, tmp_path: Path
+) -> None:
     kill = stop_after(60, lambda: signal_bus_process(signal.SIGKILL))
-    with pytest.raises(WireError, match="killed by SIGKILL"):
-        run(experiment(30.0), rig, folder / "run.mcap", progress=kill)
+    with pytest.raises(WireError, match=r"killed by SIGKILL.*supervisor: stopped and disabled"):
+        run(experiment(30.0), rig, tmp_path / "run.mcap", progress=kill)
+    word, *_, error = state(rig)
+    assert (word & 0x4F, error) == (0x40, 0), "off, without a fault: the supervisor's doing"
+    assert_standing(rig)
 
 
-@pytest.mark.parametrize("kill", [kill_whole_bench, kill_bus_process])
-def test_kill_9_and_the_drive_stops_by_itself_within_its_timeout(
-    rig: RigConfig, tmp_path: Path, kill: Callable[[RigConfig, Path], None]
+def test_kill_9_of_the_bench_and_the_drive_stops_by_itself_within_its_timeout(
+    rig: RigConfig, tmp_path: Path
 ) -> None:
     """Nobody asks it anything until its timeout has passed: then it says itself that it stopped."""
-    kill(rig, tmp_path)
+    kill_whole_bench(rig, tmp_path)
     timeout_s = rig.modbus_settings(PERIOD_S).own_stop_s
     assert timeout_s is not None
     SYSTEM_CLOCK.sleep_s(timeout_s + 0.3)

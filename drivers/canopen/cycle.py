@@ -19,13 +19,13 @@ from drivers.canopen.line import Line
 from drivers.canopen.matcher import Matcher
 from drivers.canopen.node import EMERGENCY, HEARTBEAT, OPERATIONAL, SDO_RESPONSE, SYNC, Node
 from drivers.canopen.pdo import Layout
-from drivers.canopen.plausible import Plausibility
 from drivers.canopen.profile import POSITION, STATUSWORD, TIME_STAMP, TORQUE, VELOCITY, Address
 from drivers.canopen.scaling import Unwrapper
 from drivers.canopen.settings import CanopenSettings
 from drivers.canopen.setup import DriveLink, EncoderLink
 from drivers.canopen.watch import Watch
 from drivers.errors import SettingsError
+from drivers.plausible import Plausibility
 
 Values = tuple[int, ...]
 _Place = tuple[int, int]

@@ -17,6 +17,7 @@ from drivers.canopen import cia402
 from drivers.canopen.cia402 import State
 from drivers.canopen.cycle import Cycle
 from drivers.canopen.line import Line, open_bus
+from drivers.canopen.listening import refuse_another_master
 from drivers.canopen.node import NMT_PRE_OPERATIONAL, Node
 from drivers.canopen.settings import CanopenSettings
 from drivers.canopen.setup import (
@@ -26,6 +27,7 @@ from drivers.canopen.setup import (
     set_up_drive,
     set_up_encoder,
 )
+from drivers.canopen.stopping import stop_by_sdo
 from drivers.canopen.timing import check_period
 from drivers.canopen.watch import Watch
 from drivers.clock import SYSTEM_CLOCK, Clock
@@ -33,7 +35,6 @@ from drivers.errors import DriveError, DriverError, WireError
 
 _FAULT_RESET_S = 0.5
 _PROBES = 3
-_STOP_POLL_S = 0.01
 _SETTLE_NS = 200_000_000
 STANDSTILL_RAD_S = 0.5
 """A shaft slower than this, between two samples, is believed to stand: a coarse encoder's one
@@ -113,6 +114,7 @@ class CanopenAxis:
         def note(kind: str, text: str) -> None:
             watch.tell(self._clock.now_ns(), kind, text)
 
+        refuse_another_master(line, settings.master_node_id)
         drive_node = open_drive(line, settings.drive)
         encoder_node = None
         if settings.encoder:
@@ -248,7 +250,9 @@ class CanopenAxis:
         """Bring the drive to rest and power it off; what is wrong, or None when confirmed."""
         cycle.guarded = False
         try:
-            if self._stop_by_pdo(cycle) or self._stop_by_sdo(drive.node):
+            if self._stop_by_pdo(cycle) or stop_by_sdo(
+                drive.node, self._settings.drive.stop_timeout_s
+            ):
                 return None
             reason = ""
         except DriverError as error:
@@ -312,17 +316,6 @@ class CanopenAxis:
     def _stands(cycle: Cycle) -> bool:
         velocity_rad_s = cycle.motor_velocity_rad_s
         return velocity_rad_s is not None and abs(velocity_rad_s) < STANDSTILL_RAD_S
-
-    def _stop_by_sdo(self, node: Node) -> bool:
-        """Stop a drive that takes no PDO (restarted, or no longer operational), then power off."""
-        deadline_ns = self._clock.now_ns() + round(self._settings.drive.stop_timeout_s * 1e9)
-        node.write(0x6040, 0, cia402.QUICK_STOP)
-        state = cia402.decode_state(node.read(0x6041))
-        while state in cia402.POWERED and self._clock.now_ns() < deadline_ns:
-            self._clock.sleep_s(_STOP_POLL_S)
-            state = cia402.decode_state(node.read(0x6041))
-        node.write(0x6040, 0, cia402.DISABLE_VOLTAGE)
-        return cia402.decode_state(node.read(0x6041)) not in cia402.POWERED
 
     def _release(self, cycle: Cycle | None, drive: DriveLink | None, *, stopped: bool) -> None:
         """Last words on the bus, as far as it still takes them."""

@@ -19,7 +19,7 @@ _NO_RESPONSE = "no SDO response"
 SDO_REQUEST, SDO_RESPONSE, HEARTBEAT, EMERGENCY, SYNC = 0x600, 0x580, 0x700, 0x080, 0x080
 
 
-class _SdoClient(SdoClient):
+class BusSdoClient(SdoClient):
     """canopen's SDO client, reading the bus itself instead of waiting for a notifier thread."""
 
     def __init__(self, node_id: int, dictionary: ObjectDictionary, line: Line, timeout_s: float):
@@ -47,7 +47,7 @@ class Node:
         self.dictionary = dictionary
         self.line = line
         self._timeout_s = timeout_s
-        self._client = _SdoClient(node_id, dictionary, line, timeout_s)
+        self._client = BusSdoClient(node_id, dictionary, line, timeout_s)
 
     def has(self, index: int, sub: int = 0) -> bool:
         """Whether the EDS knows the object."""

@@ -136,6 +136,39 @@ class Stopping(_Table):
     connection_lost_option: int | None = 3
 
 
+class Temperature(_Table):
+    """`[temperature]`: where the drive tells its power stage's temperature, by SDO."""
+
+    object: Object
+    c_per_digit: float = Field(gt=0.0)
+
+
+class Gain(_Table):
+    """A gain of the drive's velocity loop, and what a digit of it is worth."""
+
+    object: Object
+    per_digit: float = Field(gt=0.0)
+
+
+class Gains(_Table):
+    """`[gains]`: the velocity loop's own, in A s/rad and A/rad; None where nobody has said how the
+    vendor's digits convert: such a gain is fitted from a recording."""
+
+    proportional_a_s_per_rad: Gain | None = None
+    integral_a_per_rad: Gain | None = None
+
+
+class Shaping(_Table):
+    """`[[shaping]]`: an object by which the drive alters what it is commanded.
+
+    With the value `neutral` it does not; None where every value does something.
+    """
+
+    object: Object
+    what: str
+    neutral: int | None = None
+
+
 class DriveProfile(_Table):
     """One kind of drive. `vendor_id` is checked where the rig file names none.
 
@@ -154,6 +187,9 @@ class DriveProfile(_Table):
     units: Units = Units()
     timing: Timing = Timing()
     stopping: Stopping = Stopping()
+    temperature: Temperature | None = None
+    gains: Gains = Gains()
+    shaping: tuple[Shaping, ...] = ()
 
     @model_validator(mode="after")
     def _answers_hold_what_is_needed(self) -> "DriveProfile":

@@ -39,6 +39,7 @@ class DriveSettings:
     `counts_per_revolution` belongs to the motor encoder (0x6064 without scaling objects),
     `gear_ratio` is motor revolutions per revolution of the shaft that the bench calls motor angle
     (1 for a direct drive), `direction` is -1 where the drive counts against the bench.
+    `without_watchdog` acknowledges a drive that does not stop by itself when the bench dies.
     """
 
     node: NodeSettings
@@ -53,6 +54,7 @@ class DriveSettings:
     sdo_timeout_s: float = 0.5
     profile: DriveProfile = field(default_factory=generic)
     second_encoder: SecondEncoder | None = None
+    without_watchdog: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +72,7 @@ class CanopenSettings:
 
     `period_s` is SYNC's, and a slot's. `command_every` slots share one set-point: SYNC at 1 ms
     and 8 sample an 8 ms command eight times. `stuck_travel_rad` is how far the motor may turn
-    before the load must have moved at all, see `drivers.canopen.plausible`.
+    before the load must have moved at all, see `drivers.plausible`.
     Raises SettingsError for two load encoders.
     """
 

@@ -85,7 +85,7 @@ def set_up_drive(node: Node, settings: CanopenSettings, note: Note) -> DriveLink
     """
     drive = settings.drive
     node.nmt(NMT_PRE_OPERATIONAL)
-    _identify(node, drive.node, drive.profile.vendor_id)
+    identify(node, drive.node, drive.profile.vendor_id)
     _power_off(node, note)
     scale = read_drive_scale(node, drive, note)
     sends_heartbeat = _produce_heartbeat(node, drive.heartbeat_s, note)
@@ -112,7 +112,7 @@ def set_up_encoder(
 ) -> EncoderLink:
     """Make the encoder answer every SYNC. Errors as `set_up_drive`."""
     node.nmt(NMT_PRE_OPERATIONAL)
-    _identify(node, encoder.node, None)
+    identify(node, encoder.node, None)
     if node.has(0x6001):
         check_ratio(
             f"{node.name}: measuring units per revolution (0x6001)",
@@ -133,7 +133,8 @@ def set_up_encoder(
     return EncoderLink(node, position, modulus or 1 << 32, sends_heartbeat)
 
 
-def _identify(node: Node, settings: NodeSettings, profile_vendor_id: int | None) -> None:
+def identify(node: Node, settings: NodeSettings, profile_vendor_id: int | None) -> None:
+    """Raise DriveError where this is another device than the settings or the profile name."""
     vendor_id = profile_vendor_id if settings.vendor_id is None else settings.vendor_id
     for sub, what, wanted in (
         (1, "vendor_id", vendor_id),

@@ -2,20 +2,28 @@
 
 from collections.abc import Callable
 
+from drivers.canopen import cia402
+from drivers.canopen.cia402 import State
 from drivers.canopen.node import Node
 from drivers.canopen.pdo import RPDO
 from drivers.canopen.profile import Address, Stopping
 from drivers.canopen.settings import CanopenSettings
+from drivers.errors import SettingsError
 
 Note = Callable[[str, str], None]
 
 _EVENT_TIMER = 5
+_POLL_S = 0.01
+_SETTLE_S = 0.2
+_STILL_COUNTS = 8
+"""A position that stays within so many counts for `_SETTLE_S` stands, whatever dithers."""
 
 
 def watch_master(node: Node, settings: CanopenSettings, note: Note) -> Address | None:
     """Let the drive stop by itself when this master falls silent.
 
-    Returns the object that arms it (0 disarms), None where the drive cannot.
+    Returns the object that arms it (0 disarms), None where the drive cannot and the rig's
+    configuration acknowledges it. Raises SettingsError where it does not.
     """
     drive = settings.drive
     timeout_ms = round(drive.heartbeat_timeout_s * 1e3)
@@ -29,9 +37,16 @@ def watch_master(node: Node, settings: CanopenSettings, note: Note) -> Address |
         lacking = "watchdog by its profile" if armed is None else f"0x{armed[0]:04X}:{armed[1]}"
         if armed == (0x1016, 1):
             lacking = "0x1016"
+        if not drive.without_watchdog:
+            raise SettingsError(
+                f"{node.name} has no {lacking}: it would not stop by itself if the bench died. "
+                "Only with an emergency stop at hand, set drive.without_watchdog = true to drive "
+                "it all the same."
+            )
         note(
             "master not watched",
-            f"{node.name} has no {lacking}: it does not stop by itself when this master dies.",
+            f"{node.name} has no {lacking}: it does not stop by itself when this master dies; the "
+            "operator has acknowledged it (drive.without_watchdog).",
         )
         return None
     node.configure(*armed, value)
@@ -46,3 +61,29 @@ def prepare_stop(node: Node, stopping: Stopping) -> None:
     ):
         if reaction is not None and node.writable(index):
             node.configure(index, 0, reaction)
+
+
+def stop_by_sdo(node: Node, timeout_s: float) -> bool:
+    """Quick stop, then power off, by SDO alone; whether the drive says that it is off.
+
+    For a drive that takes no PDO, or whose master has gone. One whose quick stop holds the axis
+    (0x605A from 5 on) is powered off when it has stood for a while, any at the timeout. Errors as
+    `Node.write`.
+    """
+    clock = node.line.clock
+    begun_ns = clock.now_ns()
+    node.write(0x6040, 0, cia402.QUICK_STOP)
+    anchor, moved_ns = node.read(0x6064), clock.now_ns()
+    while clock.now_ns() - begun_ns < timeout_s * 1e9:
+        state = cia402.decode_state(node.read(0x6041))
+        if state not in cia402.POWERED:
+            break
+        counts = node.read(0x6064)
+        if abs(counts - anchor) > _STILL_COUNTS:
+            anchor, moved_ns = counts, clock.now_ns()
+        stood_ns = clock.now_ns() - moved_ns
+        if state == State.QUICK_STOP_ACTIVE and stood_ns > _SETTLE_S * 1e9:
+            break
+        clock.sleep_s(_POLL_S)
+    node.write(0x6040, 0, cia402.DISABLE_VOLTAGE)
+    return cia402.decode_state(node.read(0x6041)) not in cia402.POWERED

@@ -16,21 +16,22 @@ _NO_FEED_CONSTANT = (1, 1)
 def read_drive_scale(node: Node, drive: DriveSettings, note: Note) -> DriveScale:
     """Scale factors, the ratios checked. SettingsError where the drive contradicts the settings."""
     units = drive.profile.units
-    _check_ratios(node, drive)
-    rated_torque_nm = _rated_torque_nm(node, units)
-    if rated_torque_nm is None:
+    check_ratios(node, drive)
+    torque_nm = rated_torque_nm(node, units)
+    if torque_nm is None:
         note("no torque", f"{node.name} tells no rated torque (0x6076) or no torque (0x6077).")
     return drive_scale(
         drive.counts_per_revolution,
         drive.gear_ratio,
         drive.direction,
         _velocity_unit(node, units, note),
-        rated_torque_nm=rated_torque_nm,
+        rated_torque_nm=torque_nm,
         a_per_digit=_a_per_digit(node, units),
     )
 
 
-def _check_ratios(node: Node, drive: DriveSettings) -> None:
+def check_ratios(node: Node, drive: DriveSettings) -> None:
+    """Raise SettingsError where the drive's own ratios contradict the settings."""
     counts = drive.counts_per_revolution
     for index, what, setting, wanted in (
         (0x608F, "encoder increments / motor revolutions", "drive.counts_per_revolution", counts),
@@ -59,7 +60,8 @@ def _velocity_unit(node: Node, units: Units, note: Note) -> int:
     return units.velocity_si_unit
 
 
-def _rated_torque_nm(node: Node, units: Units) -> float | None:
+def rated_torque_nm(node: Node, units: Units) -> float | None:
+    """What 0x6077 is per mille of; None where the drive does not tell."""
     if not (node.has(0x6076) and node.mappable(*TORQUE)):
         return None
     return node.read(0x6076) * units.rated_torque_unit_nm or None

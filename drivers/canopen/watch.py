@@ -69,6 +69,10 @@ class Watch:
         events, self._events = self._events, []
         return events
 
+    def forget(self) -> None:
+        """Tell what was told once more when it comes again."""
+        self._told.clear()
+
     def on_heartbeat(self, name: str, data: bytearray, now_ns: int) -> None:
         """A heartbeat or boot-up frame of a node."""
         self._last_heartbeat_ns[name] = now_ns

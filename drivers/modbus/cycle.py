@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
 
 from drivers.axis import Sample
-from drivers.canopen.plausible import Plausibility
 from drivers.canopen.scaling import Unwrapper
 from drivers.clock import Clock
 from drivers.errors import SettingsError
@@ -28,6 +27,7 @@ from drivers.modbus.registers import Number
 from drivers.modbus.scaling import Scale
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.watch import Watch
+from drivers.plausible import Plausibility
 
 
 @dataclass(slots=True)

@@ -7,28 +7,20 @@ One thread does everything. A drive with a communication timeout stops by itself
 falls silent: command at least that often (`ModbusSettings.own_stop_s`).
 """
 
-import math
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Self
 
 from drivers.axis import Sample, WireEvent
 from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import DriveError, DriverError, WireError
+from drivers.errors import DriveError, WireError
 from drivers.modbus import profile as names
 from drivers.modbus.cycle import Cycle
-from drivers.modbus.lines import TcpLine
 from drivers.modbus.link import Link
-from drivers.modbus.rtu import RtuLink
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.setup import Registers, arm_watchdog, check_identity, read_scale
-from drivers.modbus.tcp import TcpLink
+from drivers.modbus.stopping import not_confirmed, open_link, stop_anew, stop_over
 from drivers.modbus.watch import Watch
-
-STANDSTILL_RAD_S = 0.05
-"""A shaft slower than this, between two readings, is believed to stand."""
-_LOOK_S = 0.02
-_STANDSTILL_COUNTS = 1
 
 
 class ModbusAxis:
@@ -94,16 +86,9 @@ class ModbusAxis:
     def _note(self, kind: str, text: str) -> None:
         self._watch.tell(self._clock.now_ns(), kind, text)
 
-    def _open(self) -> Link:
-        settings, drive = self._settings, self._settings.drive
-        if isinstance(settings.line, TcpLine):
-            return TcpLink(settings.line, drive.unit, self._clock)
-        silence_s = self._profile.timing.silent_interval_s
-        return RtuLink(settings.line, drive.unit, silence_s, self._clock)
-
     def _set_up(self) -> Cycle:
         settings, profile = self._settings, self._profile
-        self._link = link = self._open()
+        self._link = link = open_link(settings, self._clock)
         registers = Registers(link, settings, self._clock)
         check_identity(registers, settings)
         scale = read_scale(registers, settings, self._note)
@@ -168,71 +153,11 @@ class ModbusAxis:
 
         A line that fails on the way is opened once more: a drive that turns is worth a second try.
         """
+        settings, clock = self._settings, self._clock
         try:
-            return self._stop_over(link)
-        except WireError as first:
+            return stop_over(link, settings, clock)
+        except WireError:
             link.close()
-            try:
-                again = self._open()
-            except DriverError:
-                return self._not_confirmed(str(first))
-            try:
-                return self._stop_over(again)
-            except DriverError as second:
-                return self._not_confirmed(str(second))
-            finally:
-                again.close()
+            return stop_anew(settings, clock)
         except DriveError as refused:
-            return self._not_confirmed(str(refused))
-
-    def _stop_over(self, link: Link) -> str | None:
-        link.abandon()
-        registers = Registers(link, self._settings, self._clock)
-        drive, profile = self._settings.drive, self._profile
-        until_ns = self._clock.now_ns() + round(drive.stop_timeout_s * 1e9)
-        registers.write(names.TARGET, 0)
-        try:
-            registers.follow(profile.stop, until_ns)
-            stands = self._stands(registers, until_ns)
-        finally:  # a drive that does not stop is switched off all the same
-            registers.follow(profile.disable, until_ns + round(drive.stop_timeout_s * 1e9))
-        status = registers.status()
-        if profile.bits.enabled.hold(status):
-            return self._not_confirmed(f"its statusword is still 0x{status:04X}")
-        if not stands:
-            return self._not_confirmed("its position says that the shaft still turns: it coasts")
-        if profile.watchdog is not None:
-            registers.write(profile.watchdog.item, 0)
-        return None
-
-    def _stands(self, registers: Registers, until_ns: int) -> bool:
-        """Whether two readings of the position, a while apart, are the same."""
-        drive = self._settings.drive
-        rad_per_count = math.tau / (drive.counts_per_revolution * drive.gear_ratio)
-        modulus = self._profile.items[names.POSITION].modulus
-        before = int(registers.state()[names.POSITION])
-        before_ns = self._clock.now_ns()
-        while True:
-            self._clock.sleep_s(_LOOK_S)
-            position = int(registers.state()[names.POSITION])
-            now_ns = self._clock.now_ns()
-            moved = abs((position - before + modulus // 2) % modulus - modulus // 2)
-            slow = moved * rad_per_count / ((now_ns - before_ns) * 1e-9) < STANDSTILL_RAD_S
-            if slow or moved <= _STANDSTILL_COUNTS:
-                return True
-            if now_ns >= until_ns:
-                return False
-            before, before_ns = position, now_ns
-
-    def _not_confirmed(self, reason: str) -> str:
-        own_stop_s, watchdog = self._settings.own_stop_s, self._profile.watchdog
-        own_stop = (
-            "it has no communication timeout and may still turn"
-            if own_stop_s is None or watchdog is None
-            else f"{watchdog.action} {own_stop_s:g} s after its master's last word"
-        )
-        unit = self._settings.drive.unit
-        return (
-            f"drive {unit} did not confirm its stop ({reason.rstrip('.')}). If it is still "
-            f"powered: {own_stop}. Use the emergency stop if the shaft turns."
-        )
+            return not_confirmed(settings, str(refused))

@@ -13,6 +13,7 @@ from servo_bench.excitation.experiment import Experiment, load_experiment
 from servo_bench.files import find
 from servo_bench.rig import RigConfig, load_rig
 from servo_bench.run.busloop import PRIORITY
+from servo_bench.run.lock import holding_rig
 from servo_bench.run.session import RunSummary
 from servo_bench.run.session import run as run_session
 from sim_rig.process import spawn
@@ -69,12 +70,16 @@ def play(
     priority: int = PRIORITY,
     cpu: int | None = None,
 ) -> RunSummary:
-    """Run with a progress bar and signals heeded; with `simulated`, on a rig started for it."""
+    """Run with a progress bar and signals heeded; with `simulated`, on a rig started for it.
+
+    BusyError naming the holder where somebody else on this machine is master on the rig's bus.
+    """
     with ExitStack() as stack:
         stop = stack.enter_context(asked_to_stop())
         if simulated:
             started = stack.enter_context(spawn(rig.on_a_free_port().simulation_settings()))
             rig = rig.with_bus(**started.bus)
+        stack.enter_context(holding_rig(rig.bus, "servo-bench run"))
         progress = stack.enter_context(run_progress(console))
         return run_session(plan, rig, out, progress=progress, stop=stop, priority=priority, cpu=cpu)
 

@@ -3,9 +3,14 @@
 from drivers.axis import Axis
 from drivers.canopen.master import CanopenAxis
 from drivers.canopen.settings import CanopenSettings
+from drivers.canopen.stopline import CanopenStopLine
 from drivers.modbus.master import ModbusAxis
 from drivers.modbus.settings import ModbusSettings
+from drivers.modbus.stopline import ModbusStopLine
+from drivers.stopline import StopLine
 from servo_bench.rig import ModbusDriveConfig, RigConfig
+
+_CIA402_ENABLED = 0x6F, 0x27
 
 
 def axis_settings(rig: RigConfig, period_s: float) -> CanopenSettings | ModbusSettings:
@@ -21,3 +26,20 @@ def open_axis(rig: RigConfig, period_s: float) -> Axis:
     if isinstance(settings, ModbusSettings):
         return ModbusAxis(settings)
     return CanopenAxis(settings)
+
+
+def stop_line(rig: RigConfig, period_s: float) -> StopLine:
+    """Another way to the rig's drive, not yet opened; ConfigError as `axis_settings`."""
+    settings = axis_settings(rig, period_s)
+    if isinstance(settings, ModbusSettings):
+        return ModbusStopLine(settings)
+    return CanopenStopLine(settings)
+
+
+def enabled_bits(rig: RigConfig, period_s: float) -> tuple[int, int]:
+    """Mask and value by which a statusword says that the drive is enabled."""
+    settings = axis_settings(rig, period_s)
+    if isinstance(settings, ModbusSettings):
+        bits = settings.drive.profile.bits.enabled
+        return bits.mask, bits.value
+    return _CIA402_ENABLED

@@ -9,6 +9,7 @@ line; rows go into the slot table; what is not a row goes to stdout as JSON line
     -> take answers until all are there, or the next deadline is near
 
 A slot whose time has passed is skipped and said, never made up. The chip index follows the slot.
+Before anything is opened the process forks its supervisor, without which it plays nothing.
 """
 
 import json
@@ -28,9 +29,11 @@ from servo_bench.errors import BenchError, ConfigError, LimitError, WireError, g
 from servo_bench.excitation.experiment import Experiment, Schedule, experiment_from_table
 from servo_bench.rig import Limits, RigConfig, rig_from_table
 from servo_bench.run.axes import open_axis
-from servo_bench.run.limits import Guard
+from servo_bench.run.limits import Guard, check_missed
 from servo_bench.run.realtime import follow_parent, make_punctual
-from servo_bench.run.table import SlotTable
+from servo_bench.run.rows import write_answer
+from servo_bench.run.supervisor import check_watched, start
+from servo_bench.run.table import SlotTable, Stage
 
 PRIORITY = 80
 SETTLE_S = 0.5
@@ -101,13 +104,16 @@ class Player:
     def play(self, start_ns: int, tell: Tell) -> None:
         """Play every slot whose time comes; return early where the session asks to stop.
 
-        Raises LimitError where a limit is left and WireError where the axis cannot be trusted.
+        Raises LimitError where a limit is left and WireError where the axis cannot be trusted, or
+        where a supervisor that was there looks no more.
         """
         grid = Grid(start_ns, self._period_ns)
         guard = Guard(self._limits, self._schedule.period_s, start_ns)
         slot = 0
         while slot < self._schedule.slots and not self._table.stop_asked:
             woken_ns = self._clock.sleep_until(grid.deadline_ns(slot))
+            self._table.beat_ns = woken_ns
+            check_watched(self._table, woken_ns)
             due = min(grid.due(slot, woken_ns), self._schedule.slots)
             if due > slot:
                 self._skip(slot, due, tell)
@@ -119,6 +125,7 @@ class Player:
             self._settle(self._axis.samples(grid.deadline_ns(slot + 1) - self._margin_ns), guard)
             self._heed(tell)
             slot += 1
+        self._table.stage = Stage.STOPPING
         self._settle(self._axis.samples(self._clock.now_ns() + round(SETTLE_S * NS_PER_S)), guard)
 
     @property
@@ -130,6 +137,7 @@ class Player:
         tell("slot skipped", f"{due - slot} slot(s) from {slot} on were missed", slot=slot, to=due)
         if not self._open:
             self._table.done = due
+        check_missed(due - slot, due, self._schedule.period_s, self._limits)
 
     def _write_ask(self, slot: int, asked_ns: int, lateness_s: float) -> None:
         row = self._table.rows[slot]
@@ -143,7 +151,7 @@ class Player:
 
     def _settle(self, samples: Iterable[Sample], guard: Guard) -> None:
         for sample in samples:
-            _write_answer(self._table.rows[sample.slot], sample)
+            write_answer(self._table.rows[sample.slot], sample)
             self._open.remove(sample.slot)
             self._table.done = self._open[0] if self._open else self._table.slot + 1
             breach = guard.breach(sample)
@@ -160,29 +168,6 @@ class Player:
                 raise WireError(f"{event.text} The rig was stopped in slot {self._table.slot}.")
 
 
-def _write_answer(row: Any, sample: Sample) -> None:
-    row["slot"] = sample.slot
-    for name in (
-        "device_time_us",
-        "statusword",
-        "motor_position_counts",
-        "motor_position_rad",
-        "motor_velocity_rad_s",
-        "motor_torque_nm",
-        "load_angle_counts",
-        "load_angle_rad",
-    ):
-        value = getattr(sample, name)
-        if value is not None:
-            row[name] = value
-    for name, answered_ns in (
-        ("drive_latency_s", sample.drive_answered_ns),
-        ("encoder_latency_s", sample.encoder_answered_ns),
-    ):
-        if answered_ns is not None:
-            row[name] = (answered_ns - sample.asked_ns) / NS_PER_S
-
-
 def run_job(job: Job, table: SlotTable) -> None:
     """Enable the rig, play, stop it. Raises BenchError; the axis is left stopped either way."""
     schedule = job.experiment.schedule()
@@ -196,12 +181,22 @@ def run_job(job: Job, table: SlotTable) -> None:
             ) from error
     for sentence in make_punctual(job.priority):
         tell("not punctual", sentence)
-    with gathered(), open_axis(job.rig, job.experiment.period_s) as axis:
-        # the next period already: a drive that watches SYNC allows no pause after enabling
-        start_ns = monotonic_ns() + round(job.experiment.period_s * NS_PER_S)
-        tell("playing", "the drive is enabled", start_ns=start_ns)
-        Player(axis, schedule, table, job.rig.limits, Clock()).play(start_ns, tell)
-        tell("stopping", "the last slot was played" if not table.stop_asked else "asked to stop")
+    table.stage = Stage.ENABLING
+    try:
+        with gathered(), open_axis(job.rig, job.experiment.period_s) as axis:
+            # the next period already: a drive that watches SYNC allows no pause after enabling
+            start_ns = monotonic_ns() + round(job.experiment.period_s * NS_PER_S)
+            tell("playing", "the drive is enabled", start_ns=start_ns)
+            table.beat_ns = monotonic_ns()
+            table.stage = Stage.PLAYING
+            try:
+                Player(axis, schedule, table, job.rig.limits, Clock()).play(start_ns, tell)
+            finally:
+                table.stage = Stage.STOPPING
+            asked = table.stop_asked
+            tell("stopping", "the last slot was played" if not asked else "asked to stop")
+    finally:
+        table.stage = Stage.OVER
 
 
 def main(session_pid: int) -> int:
@@ -219,6 +214,7 @@ def main(session_pid: int) -> int:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the session decides, and asks by the table
         signal.signal(signal.SIGTERM, stop)
         try:
+            start(job.rig, job.experiment.period_s, table, job.priority, tell)
             run_job(job, table)
         except BenchError as error:
             tell("error", str(error), error=type(error).__name__)

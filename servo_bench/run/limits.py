@@ -1,5 +1,8 @@
 """The rig's limits: checked on the whole schedule before anything is enabled, and in every slot.
 
+The bus loop checks every sample as it comes; the supervisor checks the same samples again, with the
+same `Guard`, in another process.
+
 This is no safety function: a rig needs a hard-wired emergency stop or STO of its own.
 """
 
@@ -14,6 +17,7 @@ from servo_bench.rig import Limits
 
 DEVICE_TIME_RANGE_US = 1 << 32
 """Where CiA 301's 0x1013 wraps."""
+LEAST_BLIND_PERIODS = 3
 
 
 def check_schedule(schedule: Schedule, limits: Limits) -> None:
@@ -48,6 +52,23 @@ def check_schedule(schedule: Schedule, limits: Limits) -> None:
             )
 
 
+def blind_s(limits: Limits, period_s: float) -> float:
+    """The longest time without a slot: `limits.blind_s`, and at least three periods."""
+    return max(limits.blind_s, LEAST_BLIND_PERIODS * period_s)
+
+
+def check_missed(missed: int, slot: int, period_s: float, limits: Limits) -> None:
+    """Raise LimitError where so many cycles in a row, up to `slot`, are longer than allowed."""
+    allowed_s = blind_s(limits, period_s)
+    if missed * period_s > allowed_s:
+        raise LimitError(
+            f"{missed} slots in a row were missed before slot {slot}, {missed * period_s:.3g} s "
+            f"without a command; limits.blind_s allows {allowed_s:g} s: the rig was stopped. "
+            "Give the bus loop its SCHED_FIFO priority and a processor of its own (servo-bench "
+            "doctor), or choose a longer period."
+        )
+
+
 @dataclass(slots=True)
 class Guard:
     """Watches the samples of a run; `breach` says in words which limit was left, or None.
@@ -74,6 +95,12 @@ class Guard:
                 found = self._angle_breach(name, angle_rad, sample)
                 if found:
                     return found
+        torque_nm, allowed_nm = sample.motor_torque_nm, self.limits.torque_nm
+        if torque_nm is not None and allowed_nm is not None and abs(torque_nm) > allowed_nm:
+            return (
+                f"the motor's torque reached {torque_nm:.4g} N m in slot {sample.slot}, the limit "
+                f"is {allowed_nm:.4g} N m"
+            )
         elapsed_s = (sample.asked_ns - self.start_ns) / NS_PER_S
         if elapsed_s > self.limits.run_time_s:
             return (

@@ -32,6 +32,15 @@ def make_punctual(priority: int) -> tuple[str, ...]:
     )
 
 
+def make_prompt(priority: int) -> None:
+    """Ask for SCHED_FIFO and fine timers for a process that watches; what is refused is done
+    without."""
+    if sys.platform.startswith("linux"):
+        _fine_timers()
+        if priority > 0:
+            _fifo(priority)
+
+
 def follow_parent(signal_number: int, parent_pid: int) -> bool:
     """Have the kernel send `signal_number` to this process when its parent dies.
 

@@ -1,8 +1,9 @@
 """The run session: starts the bus loop, watches it, records what it sees, and ends it.
 
 The session is the only party that writes the recording, and the loop the only one that talks to
-the rig; neither waits for the other. Order of business on every way out: the rig is stopped (by
-the loop, whatever happens here), the last rows are written, only then is an error raised.
+the rig, until its supervisor has to stop the rig; nobody waits for another. Order of business on
+every way out: the rig is stopped (by the loop or the supervisor, whatever happens here), the last
+rows are written, only then is an error raised.
 """
 
 import json
@@ -11,10 +12,11 @@ import select
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +25,7 @@ from servo_bench import errors
 from servo_bench.clock import NS_PER_S, monotonic_ns
 from servo_bench.errors import BenchError, ConfigError, WireError
 from servo_bench.excitation.experiment import Experiment, Phase, Schedule
-from servo_bench.excitation.sequences import FieldSequence
+from servo_bench.excitation.sequences import FieldSequence, FromRecording
 from servo_bench.kernels.shifts import collision_free_memory
 from servo_bench.recording.mcap_file import RecordingWriter
 from servo_bench.recording.provenance import provenance
@@ -31,6 +33,7 @@ from servo_bench.recording.recording import Event
 from servo_bench.rig import RigConfig
 from servo_bench.run.axes import axis_settings
 from servo_bench.run.busloop import PRIORITY, Job
+from servo_bench.run.judge import KINDS
 from servo_bench.run.limits import check_schedule
 from servo_bench.run.table import UNPLAYED, SlotTable
 
@@ -38,6 +41,9 @@ WRITE_EVERY_S = 0.1
 STATUS_WINDOW_S = 2.0
 STOP_GRACE_S = 5.0
 KERNEL_ORDER = 3
+NO_FACTS: Mapping[str, str] = MappingProxyType({})
+_ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+"""The bus loop forks its supervisor, which a process of several threads must not do."""
 Told = tuple[Event, bool]
 
 
@@ -73,13 +79,17 @@ def run(
     *,
     progress: Callable[[Status], None] = lambda _: None,
     stop: Callable[[], bool] = lambda: False,
+    opened: Callable[[SlotTable], None] = lambda _: None,
+    facts: Mapping[str, str] = NO_FACTS,
     priority: int = PRIORITY,
     cpu: int | None = None,
 ) -> RunSummary:
     """Play `experiment` on `rig` and record it to `out`.
 
     `stop` is asked about ten times a second; once it says yes the rig is stopped and the recording
-    closed. Raises ConfigError or LimitError before anything is enabled; WireError, DriveError,
+    closed. `opened` gets the slot table before anything is enabled: who keeps a duplicate of its
+    descriptor can look on, and ask to stop within a slot. `facts` are added to the provenance.
+    Raises ConfigError or LimitError before anything is enabled; WireError, DriveError,
     LimitError or RecordingError after, when the rig has been stopped and the recording closed. A
     run that ended before its first sample leaves no file.
     """
@@ -88,15 +98,20 @@ def run(
     check_schedule(schedule, rig.limits)
     axis_settings(rig, experiment.period_s)  # a missing EDS is found before a file is opened
     with SlotTable.create(schedule.slots) as table:
-        writer = RecordingWriter(out, experiment, rig, provenance(), 1.0 / experiment.period_s)
+        opened(table)
+        known = {**provenance(), **facts}
+        writer = RecordingWriter(out, experiment, rig, known, 1.0 / experiment.period_s)
         watch = _Watch(table, schedule, writer, progress)
         try:
-            with writer, _Loop(Job(experiment, rig, table.descriptor, priority, cpu)) as loop:
-                watch.until_over(loop, stop)
+            with writer:
+                with _Loop(Job(experiment, rig, table.descriptor, priority, cpu)) as loop:
+                    watch.until_over(loop, stop)
+                error = watch.what_ended_it(loop)
         finally:
             if watch.played == 0:
                 out.unlink(missing_ok=True)
-        watch.raise_what_ended_it(loop)
+        if error is not None:
+            raise error
         return RunSummary(
             path=out,
             slots=schedule.slots,
@@ -109,8 +124,8 @@ def run(
 
 def check_memory(experiment: Experiment) -> None:
     """Raise ConfigError where the sequence cannot give kernels of the memory that is asked for."""
-    if isinstance(experiment.identification, FieldSequence):
-        return  # three or five levels: the rule is one of binary sequences
+    if isinstance(experiment.identification, FieldSequence | FromRecording):
+        return  # three or five levels, or anything: the rule is one of binary sequences
     polynomial = experiment.identification.polynomial
     limit = collision_free_memory(polynomial, KERNEL_ORDER)
     if experiment.memory > limit:
@@ -127,6 +142,7 @@ class _Loop:
     def __init__(self, job: Job) -> None:
         self._job = job
         self._unread = b""
+        self._silent = False
 
     def __enter__(self) -> "_Loop":
         self.process = subprocess.Popen(
@@ -134,6 +150,7 @@ class _Loop:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             pass_fds=(self._job.descriptor,),
+            env=os.environ | _ONE_THREAD,
             start_new_session=True,  # what a terminal sends (Ctrl-C, hang-up) is for the session
         )
         stdin, stdout = self.process.stdin, self.process.stdout
@@ -158,11 +175,13 @@ class _Loop:
             self.process.stdout.close()
 
     def events(self, timeout_s: float) -> list[Told]:
-        """What the loop has said, after waiting for at most `timeout_s`; whether it is an end."""
+        """What the loop and its supervisor have said, and whether it is an end, after waiting for
+        at most `timeout_s`."""
         select.select([self._stdout], [], [], timeout_s)
         try:
             while data := os.read(self._stdout, 65536):
                 self._unread += data
+            self._silent = True
         except BlockingIOError:
             pass
         *lines, self._unread = self._unread.split(b"\n")
@@ -175,9 +194,18 @@ class _Loop:
         return STOP_GRACE_S + drive.enable_timeout_s + drive.stop_timeout_s
 
     @property
-    def over(self) -> bool:
-        """Whether the process has ended."""
+    def ended(self) -> bool:
+        """Whether the loop's process has ended."""
         return self.process.poll() is not None
+
+    @property
+    def over(self) -> bool:
+        """Whether it has ended and its supervisor, which has the same stdout, has too."""
+        return self.ended and self._silent
+
+
+def _past(begun_ns: int | None, patience_ns: int) -> bool:
+    return begun_ns is not None and monotonic_ns() - begun_ns >= patience_ns
 
 
 def _event(line: bytes) -> Told:
@@ -202,19 +230,24 @@ class _Watch:
         self._progress = progress
         self._written = 0
         self._ending: Event | None = None
+        self._supervisors_stop = "has not said whether the drive stands: see that it does"
         self.played = 0
         self.sentences: list[str] = []
 
     def until_over(self, loop: _Loop, stop: Callable[[], bool]) -> None:
         """Write and report until the loop's process has ended and everything is written.
 
-        A loop that has been asked to stop and hangs is waited for no longer than a stop can take.
+        A loop that has been asked to stop and hangs, or a supervisor that outlives its loop, is
+        waited for no longer than a stop can take.
         """
         over = False
         patience_ns = round(loop.stop_takes_s * NS_PER_S)
         asked_ns: int | None = None
-        while not over and (asked_ns is None or monotonic_ns() - asked_ns < patience_ns):
+        ended_ns: int | None = None
+        while not over and not _past(asked_ns, patience_ns) and not _past(ended_ns, patience_ns):
             over = loop.over  # asked first, so that the last pass sees all it left
+            if ended_ns is None and loop.ended:
+                ended_ns = monotonic_ns()
             for event, is_end in loop.events(0.0 if over else WRITE_EVERY_S):
                 self._note(event, is_end=is_end)
             status = self._status()  # taken first: what the operator sees is recorded by then
@@ -231,6 +264,8 @@ class _Watch:
             self._ending = event
         elif event.kind == "not punctual":
             self.sentences.append(event.text)
+        elif event.kind == "supervisor's stop":
+            self._supervisors_stop = event.text.rstrip(".")
 
     def _write_rows(self) -> None:
         done = self._table.done
@@ -259,17 +294,31 @@ class _Watch:
         recent = recent[np.isfinite(recent)]
         return recent if recent.size else np.zeros(1)
 
-    def raise_what_ended_it(self, loop: _Loop) -> None:
-        """Raise what the loop reported, or what its exit status means; nothing after a good run."""
+    def what_ended_it(self, loop: _Loop) -> BenchError | None:
+        """What the loop reported, or what its exit status means, kept as an event in any case;
+        None after a good run."""
         if self._ending is not None:
-            raise _error_class(self._ending)(self._ending.text)
-        status = loop.process.returncode
+            return _error_class(self._ending)(self._ending.text)
+        error = self._unreported(loop.process.returncode)
+        if error is not None:
+            data = {"error": type(error).__name__}
+            self._writer.event(Event(monotonic_ns(), "error", str(error), data))
+        return error
+
+    def _unreported(self, status: int) -> BenchError | None:
+        trip = self._table.trip
+        if trip is not None:
+            end = f" ({_exit_in_words(status)})" if trip.kind == "loop ended" else ""
+            return KINDS.get(trip.kind, WireError)(
+                f"{trip.text}{end} The safety supervisor: {self._supervisors_stop}."
+            )
         if status != 0:
-            raise WireError(
+            return WireError(
                 f"the bus process ended without a word ({_exit_in_words(status)}) in slot "
                 f"{self._table.slot}. The drive stops by itself when it misses the master's "
                 "heartbeat; check that it has, and look at this terminal for a traceback."
             )
+        return None
 
 
 def _error_class(event: Event) -> type[BenchError]:

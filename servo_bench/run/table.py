@@ -1,13 +1,18 @@
 """The table that the bus loop fills and the session reads: shared memory, no locks, no calls.
 
 One row of SAMPLE_DTYPE for every slot of the schedule, allocated before the run, and a few words
-beside it. The loop alone writes rows and `done`; the session alone writes `stop`. Every word is
-an aligned 64-bit integer, which x86-64 and AArch64 store whole; `done` is stored after the rows
-it covers.
+beside it. Every word is an aligned 64-bit integer, which x86-64 and AArch64 store whole, and has
+one writer:
+
+    loop         rows, done (stored after the rows it covers), slot, missed, stage, beat_ns
+    session      stop
+    supervisor   watch_ns, and the trip: kind and text first, trip_ns after them
 """
 
 import mmap
 import os
+from dataclasses import dataclass
+from enum import IntEnum
 from types import TracebackType
 from typing import Self
 
@@ -19,7 +24,12 @@ from servo_bench.recording.recording import MISSING, SAMPLE_DTYPE, SAMPLE_FIELDS
 UNPLAYED = -1
 """The `slot` of a row whose slot was skipped or is still to come."""
 
-_WORDS = np.dtype([("done", "<i8"), ("stop", "<i8"), ("slot", "<i8"), ("missed", "<i8")])
+_NUMBERS = ("done", "stop", "slot", "missed", "stage", "beat_ns", "watch_ns", "trip_ns")
+_TRIP_TEXT_BYTES = 1000
+_WORDS = np.dtype(
+    [(name, "<i8") for name in _NUMBERS]
+    + [("trip_kind", "S24"), ("trip_text", f"S{_TRIP_TEXT_BYTES}")]
+)
 _EMPTY = np.zeros((), SAMPLE_DTYPE)
 for _name, _kind in SAMPLE_FIELDS:
     if _kind == "float64":
@@ -27,6 +37,24 @@ for _name, _kind in SAMPLE_FIELDS:
     elif _kind == "int64":
         _EMPTY[_name] = MISSING
 _EMPTY["slot"] = UNPLAYED
+
+
+class Stage(IntEnum):
+    """Where the bus loop is: power may be on from ENABLING to STOPPING."""
+
+    STARTING = 0
+    ENABLING = 1
+    PLAYING = 2
+    STOPPING = 3
+    OVER = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Trip:
+    """Why the supervisor stopped the rig: `kind` as in `servo_bench.run.judge.KINDS`."""
+
+    kind: str
+    text: str
 
 
 class SlotTable:
@@ -95,6 +123,52 @@ class SlotTable:
     @missed.setter
     def missed(self, slots: int) -> None:
         self._set_word("missed", slots)
+
+    @property
+    def stage(self) -> Stage:
+        """Where the loop is."""
+        return Stage(self._word("stage"))
+
+    @stage.setter
+    def stage(self, stage: Stage) -> None:
+        self._set_word("stage", stage)
+
+    @property
+    def beat_ns(self) -> int:
+        """When the loop last began a slot; 0 before the first."""
+        return self._word("beat_ns")
+
+    @beat_ns.setter
+    def beat_ns(self, now_ns: int) -> None:
+        self._set_word("beat_ns", now_ns)
+
+    @property
+    def watch_ns(self) -> int:
+        """When the supervisor last looked; 0 where none watches."""
+        return self._word("watch_ns")
+
+    @watch_ns.setter
+    def watch_ns(self, now_ns: int) -> None:
+        self._set_word("watch_ns", now_ns)
+
+    @property
+    def trip(self) -> Trip | None:
+        """What the supervisor tripped on; None where it has not."""
+        if self._words is None:
+            raise ValueError("the slot table is closed")
+        if not self._word("trip_ns"):
+            return None
+        kind, text = (bytes(self._words[it]).rstrip(b"\0") for it in ("trip_kind", "trip_text"))
+        return Trip(kind.decode("ascii"), text.decode("utf-8", errors="ignore"))
+
+    def latch(self, trip: Trip, now_ns: int) -> None:
+        """Keep the cause of a trip; the first one stays."""
+        if self._words is None:
+            raise ValueError("the slot table is closed")
+        if not self._word("trip_ns"):
+            self._words["trip_kind"] = trip.kind.encode("ascii")
+            self._words["trip_text"] = trip.text.encode()[:_TRIP_TEXT_BYTES]
+            self._set_word("trip_ns", now_ns)
 
     def _word(self, name: str) -> int:
         if self._words is None:

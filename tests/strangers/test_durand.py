@@ -29,7 +29,7 @@ def settings(drive: DurandDrive, tmp_path: Path, request: pytest.FixtureRequest)
     node = NodeSettings(1, drive.eds(tmp_path / "durand.eds"))
     return CanopenSettings(
         bus={"interface": "virtual", "channel": request.node.name},
-        drive=DriveSettings(node, COUNTS),
+        drive=DriveSettings(node, COUNTS, without_watchdog=True),
         encoder=None,
         period_s=PERIOD_S,
     )

@@ -3,7 +3,9 @@
 Three angles tell of one shaft: the commanded one (the integral of the velocity sent), the motor's,
 and the load's. One that stays within a few counts, for several samples (one that turns around is
 twice at the same place), while the one that leads it has moved by `travel_rad` is stuck. The
-travel must be wider than all play and twist between motor and load.
+travel must be wider than all play and twist between motor and load: two encoders whose distance
+has changed by more than `DISAGREE` times that since the first look disagree (a wrong count per
+revolution, a wrong sign, a coupling that slips; one that sticks is named before).
 
 A motor that moves, but not as commanded, is found by the difference of the two velocities,
 
@@ -20,6 +22,7 @@ _STILL_COUNTS = 3
 _STILL_SAMPLES = 8
 FORGET_S = 0.5
 LAG_S = 0.15
+DISAGREE = 1.5
 Tell = Callable[[str, str], None]
 
 
@@ -78,6 +81,7 @@ class Plausibility:
     _motor_by_load: _Follower = field(default_factory=_Follower)
     _load_by_motor: _Follower = field(default_factory=_Follower)
     _following: _Following = field(default_factory=_Following)
+    _apart_rad: float | None = None  # load from motor, at the first look
 
     def look(
         self,
@@ -101,6 +105,7 @@ class Plausibility:
                     f"{self.drive}: the motor's position has stayed at {motor[0]} counts while the "
                     f"load turned by {self.travel_rad:.3g} rad. Check the motor's encoder.",
                 )
+            self._compare(motor[1], load[1])
         if motor is not None:
             led_rad = self._motor_by_command.led_rad(motor[0], commanded_rad)
             if led_rad > self.travel_rad:
@@ -118,3 +123,18 @@ class Plausibility:
                     f"in the last {FORGET_S:g} s: commands are lost on their way, or the drive "
                     "limits, filters, or ramps them. Check the bus and the drive's limits.",
                 )
+
+    def _compare(self, motor_rad: float, load_rad: float) -> None:
+        """Have the two encoders drifted apart by more than play and twist?"""
+        apart_rad = load_rad - motor_rad
+        if self._apart_rad is None:
+            self._apart_rad = apart_rad
+        drifted_rad, allowed_rad = apart_rad - self._apart_rad, DISAGREE * self.travel_rad
+        if abs(drifted_rad) > allowed_rad:
+            self.tell(
+                "encoders disagree",
+                f"the load's encoder has left the motor's by {drifted_rad:.3g} rad since the "
+                f"start, allowed {allowed_rad:.3g} rad ({DISAGREE} x drive.stuck_travel_rad): a "
+                "wrong counts_per_revolution, direction, or gear_ratio, a lost count, or a "
+                "coupling that slips. Check them: servo-bench doctor --move turns the shaft.",
+            )

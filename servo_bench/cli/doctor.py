@@ -1,0 +1,71 @@
+"""`servo-bench doctor`: this computer, the wire, the drive, the encoder, and what to change."""
+
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from drivers.canopen.settings import CanopenSettings
+from servo_bench.cli.findings import conclude, show
+from servo_bench.cli.rig import DEFAULT_RIG
+from servo_bench.errors import BenchError
+from servo_bench.rig import RigConfig, load_rig
+from servo_bench.run.axes import axis_settings
+from servo_bench.run.doctor import canopen, host, modbus, move
+from servo_bench.run.finding import Finding, Level, stop
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    app.command("doctor")(doctor)
+
+
+def doctor(
+    rig: Annotated[str, typer.Option(help="Rig file.")] = DEFAULT_RIG,
+    *,
+    period_ms: Annotated[float, typer.Option(min=0.5, max=255.0, help="Period to judge by.")] = 8.0,
+    port: Annotated[int | None, typer.Option(help="TCP port of the bus.")] = None,
+    moving: Annotated[
+        bool,
+        typer.Option("--move", help="Turn the shaft slowly, after asking: counts and direction."),
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the move.")] = False,
+) -> None:
+    """Examine computer, wire, drive, and encoder, and print what to change.
+
+    Without --move nothing is enabled. Exit code 1 where something must be mended first.
+    """
+    chosen = load_rig(rig)
+    if port is not None:
+        chosen = chosen.with_bus(port=port)
+    console = Console(emoji=False)
+    findings = [*host.examine(), *_wire(chosen, period_ms * 1e-3)]
+    show(console, findings)
+    if moving:
+        told = _move(chosen, period_ms * 1e-3, findings, yes=yes)
+        show(console, told)
+        findings = findings + told
+    else:
+        show(console, [move.advice()])
+    conclude(console, findings, "the rig is ready.")
+
+
+def _wire(rig: RigConfig, period_s: float) -> list[Finding]:
+    try:
+        settings = axis_settings(rig, period_s)
+        if isinstance(settings, CanopenSettings):
+            return canopen.examine(settings)
+        return modbus.examine(settings)
+    except BenchError as error:
+        return [stop("wire", str(error))]
+
+
+def _move(rig: RigConfig, period_s: float, findings: list[Finding], *, yes: bool) -> list[Finding]:
+    if any(finding.level is Level.STOP for finding in findings):
+        return [stop("move", "nothing moves before the rest is mended.")]
+    if not yes and not typer.confirm(move.words(rig), err=True):
+        return [move.advice()]
+    try:
+        return move.examine(rig, period_s)
+    except BenchError as error:
+        return [stop("move", str(error))]

@@ -1,0 +1,184 @@
+"""What is said before a run: by hand where it can be, and refused where it must be."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from drivers.canopen.profile import Gain, Gains, Shaping, generic
+from servo_bench.cli.app import app
+from servo_bench.excitation.experiment import Experiment, MSequence, RandomBinary
+from servo_bench.rig import RigConfig, load_rig
+from servo_bench.run import preflight_read
+from servo_bench.run.finding import Finding, Level
+from servo_bench.run.preflight import predict, preflight
+from servo_bench.run.preflight_read import read_drive
+from tests.fake_canopen import I32, U16, U32, Entry, FakeRig
+
+
+def experiment(amplitude_rad_s: float = 2.0, length: int = 500) -> Experiment:
+    return Experiment(
+        name="short",
+        rig="rigs/paper.toml",
+        period_s=0.008,
+        memory=8,
+        standstill_s=0.2,
+        lead_in=16,
+        identification=MSequence(polynomial="2327", amplitude_rad_s=amplitude_rad_s, length=length),
+        validation=RandomBinary(
+            kind="random-binary", seed=2, amplitude_rad_s=amplitude_rad_s, length=32
+        ),
+    )
+
+
+@pytest.fixture(scope="module")
+def rig() -> RigConfig:
+    return load_rig("rigs/paper.toml")
+
+
+def by_subject(findings: list[Finding]) -> dict[str, Finding]:
+    return {it.subject: it for it in findings}
+
+
+def test_the_prediction_is_the_loops_own_arithmetic(rig: RigConfig) -> None:
+    seen = predict(experiment().schedule(), rig)
+    # the first instant of a reversal: K_P times 2 V
+    assert seen.peak_current_a >= rig.nominal.proportional_gain_a_s_per_rad * 4.0
+    assert 0.0 < seen.rms_current_a < seen.peak_current_a
+    commanded_rad = np.abs(np.cumsum(experiment().schedule().velocity_rad_s) * 0.008).max()
+    overshoot_rad = 2.0 * 2.0 / rig.nominal_values().natural_frequency_rad_s
+    assert seen.motor_travel_rad == pytest.approx(commanded_rad, abs=overshoot_rad)
+    half_gap_rad = rig.nominal.backlash_gap_rad / 2
+    assert abs(seen.motor_travel_rad - seen.load_travel_rad) <= 2 * half_gap_rad + 1e-9
+
+
+def test_all_of_it_grows_with_the_amplitude(rig: RigConfig) -> None:
+    one, two = (predict(experiment(v).schedule(), rig) for v in (1.0, 2.0))
+    assert two.rms_current_a == pytest.approx(2 * one.rms_current_a, rel=1e-6)
+    assert two.peak_velocity_rad_s == pytest.approx(2 * one.peak_velocity_rad_s, rel=1e-6)
+
+
+def test_a_run_that_would_trip_is_stopped_before(rig: RigConfig) -> None:
+    limits = rig.limits.model_copy(update={"velocity_rad_s": 2.05, "torque_nm": 0.01})
+    found = by_subject(preflight(experiment(), rig.model_copy(update={"limits": limits})))
+    assert found["limits"].level is Level.OK, "the command itself is within"
+    assert found["motor velocity"].level is Level.STOP
+    assert "the run would trip" in found["motor velocity"].text
+    assert found["current"].level is Level.STOP
+
+
+def test_heat_is_the_square_of_the_current(rig: RigConfig) -> None:
+    seen = predict(experiment().schedule(), rig)
+    rms_nm = seen.rms_current_a * rig.nominal.torque_constant_nm_per_a
+    for rated_nm, level in ((0.9 * rms_nm, Level.STOP), (1.1 * rms_nm, Level.CHANGE)):
+        assert rig.simulated is not None
+        simulated = rig.simulated.model_copy(update={"rated_torque_nm": rated_nm})
+        found = by_subject(preflight(experiment(), rig.model_copy(update={"simulated": simulated})))
+        margin = 100 * (1 - (rms_nm / rated_nm) ** 2)
+        assert found["current"].level is level
+        assert f"thermal margin {margin:.0f} %" in found["current"].text
+    unknown = by_subject(preflight(experiment(), rig.model_copy(update={"simulated": None})))
+    assert "thermal margin unknown" in unknown["current"].text
+
+
+@pytest.mark.parametrize(
+    ("profile", "amplitude_deg_s", "level", "share"),
+    [("maxon-epos4", 150.0, Level.OK, "0.004 %"), ("delta-asda-a2", 150.0, Level.OK, "0.4 %")],
+)
+def test_the_velocity_quantum_stands_beside_the_amplitude(
+    rig: RigConfig, profile: str, amplitude_deg_s: float, level: Level, share: str
+) -> None:
+    mode = "pv" if profile == "delta-asda-a2" else "csv"
+    drive = rig.drive.model_copy(update={"profile": profile, "mode": mode})
+    found = by_subject(
+        preflight(
+            experiment(math.radians(amplitude_deg_s)), rig.model_copy(update={"drive": drive})
+        )
+    )
+    assert found["velocity quantum"].level is level
+    assert share in found["velocity quantum"].text
+    assert (found["ramps"].level is Level.CHANGE) == (mode == "pv")
+    known = profile == "maxon-epos4"
+    assert ("0x30A2:1" in found["K_P, K_I"].text) == known
+    assert ("unknown: will be fitted" in found["K_P, K_I"].text) == (not known)
+
+
+def test_a_line_that_is_too_slow_is_a_stop_with_its_sum() -> None:
+    slow = load_rig("rigs/modbus-rtu.toml").with_bus(baud_rate=115200)
+    found = by_subject(preflight(experiment(), slow))
+    assert found["period and line"].level is Level.STOP
+    assert "19 + 33 bytes at 115200 Bd" in found["period and line"].text
+
+
+def test_a_modbus_rig_is_told_its_wire_and_its_units() -> None:
+    found = by_subject(preflight(experiment(), load_rig("rigs/modbus-tcp.toml")))
+    assert "turnaround" in found["wire budget"].text
+    assert found["velocity quantum"].level is Level.OK
+    assert "per mille rated" in found["unit of the torque"].text
+
+
+# What the drive itself says, read
+
+
+@pytest.fixture
+def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeRig:
+    fake = FakeRig(tmp_path, monkeypatch)
+    profile = generic().model_copy(
+        update={
+            "gains": Gains(
+                proportional_a_s_per_rad=Gain.model_validate(
+                    {"object": "0x30A2:1", "per_digit": 1e-6}
+                )
+            ),
+            "shaping": (
+                Shaping.model_validate(
+                    {"object": "0x30A2:3", "what": "feed-forward", "neutral": 0}
+                ),
+            ),
+        }
+    )
+    fake.drive.objects[0x30A2, 1] = Entry(U32, 346_644)
+    fake.drive.objects[0x30A2, 3] = Entry(U32, 17)
+    fake.drive.objects[0x6072, 0] = Entry(U16, 1000)
+    fake.drive.objects[0x6080, 0] = Entry(U32, 10)
+    fake.drive.objects[0x6083, 0] = Entry(U32, 100_000)
+    fake.drive.objects[0x6084, 0] = Entry(U32, 2_000_000_000)
+    fake.drive.objects[0x607F, 0] = Entry(I32, 2_000_000)
+    settings = fake.settings(profile=profile, mode="pv")
+    monkeypatch.setattr(preflight_read, "axis_settings", lambda rig, period_s: settings)
+    return fake
+
+
+def test_what_the_drive_would_do_to_the_excitation_is_read(fake: FakeRig, rig: RigConfig) -> None:
+    findings = read_drive(experiment(), rig)
+    found = {(it.subject, it.level): it.text for it in findings}
+    assert "K_P is 0.3466 A s/rad" in found["K_P", Level.OK]
+    assert "feed-forward (0x30A2:3) = 17: alters" in found["shaping", Level.CHANGE]
+    assert "0x6080 allows 60 deg/s" in found["speed limit", Level.CHANGE]
+    assert "0x607F" in found["speed limit", Level.OK]
+    slope_rad_s2 = 100_000 * math.tau / 65536
+    takes_ms = 4.0 / slope_rad_s2 * 1e3
+    assert f"takes {takes_ms:.3g} ms of a period of 8 ms" in found["ramps", Level.CHANGE]
+    assert "0x6084" in found["ramps", Level.OK]
+    assert "a digit of 0x6077 is 0.00064 N m" in found["current", Level.OK]
+    assert [frame for frame in fake.world.sent if frame[1][:1] in (b"\x23", b"\x2b", b"\x2f")] == []
+
+
+def test_a_torque_limit_below_the_peak_is_said(fake: FakeRig, rig: RigConfig) -> None:
+    fake.drive[0x6072, 0] = 10
+    text = by_subject(read_drive(experiment(), rig))["torque limit"].text
+    assert "(0x6072) to 10 per mille: the excitation's steps will be cut" in text
+
+
+def test_the_command_prints_lines_and_ends_with_what_they_come_to(tmp_path: Path) -> None:
+    good = CliRunner().invoke(app, ["preflight", "experiments/demo.toml"])
+    assert good.exit_code == 0, good.output
+    assert "nothing stands against this run" in good.output
+    table = tmp_path / "tight.toml"
+    source = Path("servo_bench/library/rigs/paper.toml").read_text()
+    table.write_text(source.replace("velocity_deg_s = 400", "velocity_deg_s = 10"))
+    bad = CliRunner().invoke(app, ["preflight", "experiments/demo.toml", "--rig", str(table)])
+    assert bad.exit_code == 1
+    assert "to mend before the rig runs" in bad.output

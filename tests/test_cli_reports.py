@@ -49,7 +49,7 @@ def test_analyse_writes_what_was_asked_for_and_prints_the_main_figures(
 
 def test_analyse_alone_only_prints(recording: Path) -> None:
     before = sorted(recording.parent.iterdir())
-    code, output, _ = _call("analyse", recording, "--memory", "6")
+    code, output, _ = _call("analyse", recording, "--memory", "6", "--estimator", "correlation")
     assert code == 0
     assert "noise ceiling" in output
     assert sorted(recording.parent.iterdir()) == before
@@ -95,7 +95,8 @@ def test_a_memory_beyond_the_polynomials_is_refused(recording: Path) -> None:
 
 
 def test_a_folder_that_is_missing_is_said(recording: Path, tmp_path: Path) -> None:
-    _, _, error = _call("analyse", recording, "--json", tmp_path / "no" / "out.json")
+    words = ("--estimator", "correlation", "--json", tmp_path / "no" / "out.json")
+    _, _, error = _call("analyse", recording, *words)
     assert isinstance(error, ConfigError)
     assert "cannot be written" in str(error)
 
@@ -126,3 +127,21 @@ def test_paper_refuses_an_existing_output_before_it_computes(
     _, _, error = _call("paper", "--json", there)
     assert isinstance(error, ConfigError)
     assert there.read_text() == "{}"
+
+
+def test_estimators_are_judged_side_by_side(recording: Path, tmp_path: Path) -> None:
+    report, figures = tmp_path / "out.html", tmp_path / "out.json"
+    words = ("--estimator", "correlation,play", "--report", report, "--json", figures)
+    code, output, _ = _call("analyse", recording, *words)
+    assert code == 0
+    numbers = json.loads(figures.read_text())
+    page = Page(report.read_text(encoding="utf-8"))
+    assert page.figures() == flat(numbers)
+    assert set(numbers["estimators"]) == set(numbers["against_grey_box"]) == {"correlation", "play"}
+    assert numbers["grey_box"]["vaf_fresh_percent"] > 99.0
+    assert "against a model, not against data" in page.text
+    assert "agreement with it proves nothing" in page.text
+    assert f"{numbers['estimators']['play']['vaf_fresh_percent']:.2f} %" in output
+    _, _, error = _call("analyse", recording, "--estimator", "magic")
+    assert isinstance(error, ConfigError)
+    assert "no estimator 'magic': choose one of" in str(error)

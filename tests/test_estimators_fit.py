@@ -17,7 +17,7 @@ from servo_bench.estimators.elementary import (
 from servo_bench.estimators.figures import measured_figures, posterior_figures
 from servo_bench.estimators.greybox import GreyBox, SecondOrderPlay
 from servo_bench.estimators.hybrid import Hybrid
-from servo_bench.estimators.least_squares import LeastSquares, identifiable_terms
+from servo_bench.estimators.least_squares import LeastSquares
 from servo_bench.estimators.play import FirPlay
 from servo_bench.estimators.polynomial_prior import PolynomialPrior
 from servo_bench.estimators.registry import ESTIMATORS, estimator
@@ -26,6 +26,7 @@ from servo_bench.estimators.spectrum import Spectrum
 from servo_bench.estimators.unseen import SAME, prediction_matrix, unseen_inputs
 from servo_bench.excitation.msequence import m_sequence
 from servo_bench.kernels.predict import vaf_percent
+from servo_bench.kernels.terms import identifiable_terms
 from servo_bench.kernels.volterra import extract
 from tests.truth import volterra_plants
 from tests.truth.volterra_plants import PLANTS, Plant

@@ -1,8 +1,10 @@
 """An identification that was played with a bias, or with another kind of sequence."""
 
+from dataclasses import replace
+
 import pytest
 
-from servo_bench.errors import RecordingError
+from servo_bench.errors import FitError
 from servo_bench.excitation.experiment import Experiment
 from servo_bench.kernels.analysis import analyse
 from tests.played_rig import Rig, experiment
@@ -46,5 +48,8 @@ def test_another_kind_of_sequence_is_refused_and_never_read_as_an_m_sequence(
     table = played_with().model_dump(mode="json")
     table["identification"] = {"amplitude_rad_s": 2.0, **changes}
     recording = Rig(gap_rad=0.0).record(Experiment.model_validate(table))
-    with pytest.raises(RecordingError, match=f"identified with a {changes['kind']} sequence"):
-        analyse(recording)
+    found = analyse(recording, memory=6)
+    assert found.played.kind == changes["kind"]
+    plain = replace(recording, experiment=played_with(amplitude_rad_s=2.0))
+    with pytest.raises(FitError, match="are not the M-sequence of 15341"):
+        analyse(plain)

@@ -9,9 +9,13 @@ from rich.markup import escape
 from rich.table import Table
 
 from servo_bench.cli.output import refuse_existing, write_json, write_text
+from servo_bench.estimators.registry import ESTIMATORS
+from servo_bench.estimators.study import Study, study
 from servo_bench.kernels.analysis import Analysis
 from servo_bench.kernels.analysis import analyse as analyse_recording
 from servo_bench.recording.mcap_file import load
+from servo_bench.report.distortion_words import distortion_sentences
+from servo_bench.report.estimator_tables import estimator_rows, judged_words
 from servo_bench.report.html import analysis_report
 from servo_bench.report.wording import NOT_KNOWN, ceiling, percent
 
@@ -23,6 +27,7 @@ def add_to(app: typer.Typer) -> None:
 
 def analyse(
     recording: Annotated[Path, typer.Argument(help="The recording (MCAP).")],
+    *,
     report: Annotated[
         Path | None, typer.Option(help="Write the report, one HTML file, to this file.")
     ] = None,
@@ -37,22 +42,32 @@ def analyse(
         str | None,
         typer.Option(help="The M-sequence's polynomial in octal, where the recording has none."),
     ] = None,
+    estimator: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Estimators, with commas between: {', '.join(ESTIMATORS)}. By default the "
+            "paper's correlation and one that serves this sequence."
+        ),
+    ] = None,
 ) -> None:
     """Extract the Volterra kernels of a recording and judge them on its held-out validation.
 
-    Prints the main figures; writes a report and the figures where asked to.
+    Prints the main figures; writes a report and the figures where asked to. Estimators beside the
+    paper's are judged on the same validation, and against a grey box on inputs never played.
     """
     refuse_existing(report, json)
     loaded = load(recording)
     analysis = analyse_recording(loaded, memory=memory, polynomial=polynomial)
+    names = [name.strip() for name in estimator.split(",")] if estimator is not None else []
+    found = study(loaded, analysis, names)
     if json is not None:
-        write_json(json, analysis.numbers())
+        write_json(json, found.numbers())
     if report is not None:
-        write_text(report, analysis_report(analysis, loaded))
-    _show(analysis, report, json)
+        write_text(report, analysis_report(analysis, loaded, found))
+    _show(analysis, found, report, json)
 
 
-def _show(analysis: Analysis, *written: Path | None) -> None:
+def _show(analysis: Analysis, found: Study, *written: Path | None) -> None:
     console = Console()
     validation = analysis.validation
     fresh = validation.velocity if validation else None
@@ -72,6 +87,9 @@ def _show(analysis: Analysis, *written: Path | None) -> None:
     )
     table.add_row("noise ceiling", "", ceiling(analysis.noise_ceiling_percent))
     console.print(table)
+    console.print(_estimators(found))
+    for sentence in distortion_sentences(analysis):
+        console.print(sentence, highlight=False, soft_wrap=True)
     quality = analysis.quality
     console.print(f"{quality.missed_slots} of {quality.slots} slots missed")
     for flag in analysis.flags:
@@ -79,3 +97,14 @@ def _show(analysis: Analysis, *written: Path | None) -> None:
     for path in written:
         if path is not None:
             console.print(f"written: {escape(str(path))}", soft_wrap=True)
+
+
+def _estimators(found: Study) -> Table:
+    table = Table(f"VAF by estimator, {judged_words()}", show_edge=False, pad_edge=False)
+    table.add_column("fresh", justify="right")
+    table.add_column("[dim]same period[/]", justify="right")
+    for row in estimator_rows(found):
+        name = f"[bold]{row.name}[/]" if row.best else row.name
+        remark = f"\n[dim]{escape(row.remark)}[/]" if row.remark else ""
+        table.add_row(name + remark, row.fresh, f"[dim]{row.same}[/]")
+    return table

@@ -14,6 +14,7 @@ from servo_bench.benchmark import kernels as kernels_benchmark
 from servo_bench.benchmark import model as model_benchmark
 from servo_bench.benchmark import recording as recording_benchmark
 from servo_bench.benchmark import volterra as volterra_benchmark
+from servo_bench.benchmark.volterra import SEEDS
 from servo_bench.cli.output import refuse_existing, write_json
 from servo_bench.cli.progress import run_progress
 from servo_bench.recording.provenance import provenance
@@ -93,8 +94,8 @@ def model(
 @app.command()
 def volterra(
     *,
-    seed: Annotated[int, typer.Option(help="First seed of the noise.")] = 201,
-    seeds: Annotated[int, typer.Option(min=1, help="How many seeds.")] = 10,
+    seed: Annotated[int, typer.Option(help="First seed of the noise.")] = SEEDS[0],
+    seeds: Annotated[int, typer.Option(min=1, help="How many seeds.")] = len(SEEDS),
     plants: Annotated[
         str, typer.Option(help="Module of the plants to identify.")
     ] = volterra_benchmark.PLANTS,
@@ -103,6 +104,23 @@ def volterra(
     """Every estimator on plants outside its class, on input it never saw; and the transforms."""
     refuse_existing(json)
     _show(volterra_benchmark.measure(range(seed, seed + seeds), plants), json)
+
+
+@app.command()
+def daemon(
+    *,
+    full: Annotated[
+        bool, typer.Option("--full", help="200 stops and an hour of runs, instead of 3 minutes.")
+    ] = False,
+    json: Json = None,
+) -> None:
+    """What the daemon costs the bus loop; its start, its stop, a sample's way to a page."""
+    from servo_bench.benchmark import daemon as daemon_benchmark  # noqa: PLC0415 - an extra
+
+    refuse_existing(json)
+    console = Console(stderr=True)
+    effort = daemon_benchmark.FULL if full else daemon_benchmark.SHORT
+    _show(daemon_benchmark.measure(effort, lambda what: console.print(f"{what} ...")), json)
 
 
 def _show(figures: Mapping[str, Any], json: Path | None) -> None:

@@ -1,25 +1,18 @@
 """Least squares on the terms that the input can identify.
 
 The terms are products of lags up to an order. How often a lag may occur in one follows from the
-number L of distinct levels that were played: u^L is a polynomial of lower degree on them, so
-powers above L - 1 are left out (binary: every lag once). Terms whose columns still depend on each
-other are refused, not split.
+number of distinct levels that were played (binary: once); see `kernels.terms`.
 """
 
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
 
 import numpy as np
-from scipy import linalg
 
 from servo_bench.errors import FitError
 from servo_bench.estimators.data import Array, Parameter, Training, lagged
+from servo_bench.kernels.terms import Term, fit_terms, identifiable_terms, term_columns
 
-Term = tuple[int, ...]
-
-SMALLEST_PIVOT = 1e-9
 BLOCK = 4096
 
 
@@ -40,32 +33,10 @@ class LeastSquares:
                 f"{len(terms)} terms (memory {self.memory}, order {self.order}) cannot be fitted "
                 f"to {len(rows)} samples. Use a shorter memory, a lower order, or more samples."
             )
-        columns = _columns(rows, terms)
-        r, _ = linalg.qr(columns, mode="r", pivoting=True, check_finite=False)
-        pivots = np.abs(np.diag(r))
-        dependent = int(np.count_nonzero(pivots < SMALLEST_PIVOT * pivots[0]))
-        if dependent:
-            raise FitError(
-                f"{dependent} of {len(terms)} terms are sums of others on this input: no "
-                f"estimator can tell them apart. Use a shorter memory than {self.memory}, a lower "
-                f"order, or a longer sequence."
-            )
-        gram = linalg.cho_factor(columns.T @ columns, lower=True)
-        values = np.asarray(linalg.cho_solve(gram, columns.T @ training.response))
-        left = training.response - columns @ values
-        noise = float(left @ left) / (len(rows) - len(terms))
-        covariance = noise * np.asarray(linalg.cho_solve(gram, np.eye(len(terms))))
+        found = fit_terms(term_columns(rows, terms), training.response)
+        covariance = found.noise_variance * found.unit_covariance
+        values = found.values
         return LeastSquaresFit(self.memory, training.amplitude, terms, values, covariance)
-
-
-def identifiable_terms(memory: int, order: int, levels: int) -> tuple[Term, ...]:
-    """Every product of at most `order` lags, none more than `levels` - 1 times; () is 1."""
-    return tuple(
-        lags
-        for m in range(order + 1)
-        for lags in combinations_with_replacement(range(memory), m)
-        if all(count < levels for count in Counter(lags).values())
-    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,22 +61,12 @@ class LeastSquaresFit:
     def predict(self, inputs: Array, history: Array | None = None) -> Array:
         """The sum of the terms."""
         rows = lagged(inputs, history, self.memory) / self.amplitude
-        blocks = [_columns(rows[i : i + BLOCK], self.terms) for i in range(0, len(rows), BLOCK)]
+        blocks = [term_columns(rows[i : i + BLOCK], self.terms) for i in range(0, len(rows), BLOCK)]
         return np.concatenate([np.zeros(0), *(block @ self.values for block in blocks)])
 
     def standard_deviation(self, inputs: Array, history: Array | None = None) -> Array:
         """From the covariance of the coefficients."""
         rows = lagged(inputs, history, self.memory) / self.amplitude
-        columns = _columns(rows, self.terms)
+        columns = term_columns(rows, self.terms)
         variance = np.einsum("ti,ti->t", columns @ self.covariance, columns)
         return np.asarray(np.sqrt(variance))
-
-
-def _columns(rows: Array, terms: tuple[Term, ...]) -> Array:
-    """Each term at each row, shape (n, terms); a term is an earlier one times a lag."""
-    place = {term: index for index, term in enumerate(terms)}
-    columns = np.empty((len(terms), len(rows)))
-    lags = np.ascontiguousarray(rows.T)
-    for index, term in enumerate(terms):
-        columns[index] = columns[place[term[:-1]]] * lags[term[-1]] if term else 1.0
-    return np.ascontiguousarray(columns.T)

@@ -9,7 +9,6 @@ from servo_bench.estimators.greybox import GreyBox, RigModel, SecondOrderPlay
 from servo_bench.estimators.hybrid import Hybrid
 from servo_bench.estimators.least_squares import LeastSquares
 from servo_bench.estimators.play import FirPlay
-from servo_bench.estimators.polynomial_prior import PolynomialPrior
 from servo_bench.estimators.regularised import RegularisedVolterra
 
 Maker = Callable[[int | None, RigModel], Estimator]
@@ -21,7 +20,7 @@ ESTIMATORS: Mapping[str, Maker] = {
     "play": lambda memory, _: FirPlay(memory or 30),
     "plays": lambda memory, _: FirPlay(memory or 30, plays=6),
     "grey-box": lambda _, model: GreyBox(model),
-    "hybrid": lambda memory, model: Hybrid(GreyBox(model), PolynomialPrior(memory or 20)),
+    "hybrid": lambda memory, model: Hybrid(GreyBox(model), RegularisedVolterra(memory or 20)),
 }
 
 

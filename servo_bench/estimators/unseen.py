@@ -57,7 +57,7 @@ def unseen_inputs(
     """Random binary at A, A/2 and 2A, uniform over +-A and +-2A, sines of A and 2A.
 
     Each has `samples` inputs after SETTLING. With `polynomial` (of the identification) also the
-    M-sequence of its reciprocal, a whole period.
+    M-sequence of its reciprocal: a whole period, or as much of it as other `samples` ask for.
     """
     rng = np.random.default_rng(seed)
     count = samples + SETTLING
@@ -74,7 +74,8 @@ def unseen_inputs(
     ]
     if polynomial is not None:
         chips = _other_sequence(polynomial)
-        shapes.insert(0, ("other m-sequence", np.resize(chips, chips.size + SETTLING)))
+        length = chips.size if samples == SAMPLES else min(chips.size, samples)
+        shapes.insert(0, ("other m-sequence", np.resize(chips, length + SETTLING)))
     return tuple(UnseenInput(name, amplitude * inputs) for name, inputs in shapes)
 
 

@@ -6,6 +6,7 @@
     field            three levels (GF(3)) or five (GF(5)) up to +-A
     random-uniform   independent levels, uniform over +-A
     multi-amplitude  one M-sequence at several amplitudes in turn, each led in
+    from-recording   the velocities themselves, slot by slot
 
 Each may carry a bias, a constant velocity that is added: it moves the operating point, and shows
 one-sided effects as even orders. `polynomial` is the characteristic polynomial in octal, highest
@@ -173,6 +174,27 @@ class MultiAmplitude(Value):
         return self.bias_rad_s + self.amplitude_rad_s * self.chips().astype(np.float64)
 
 
+class FromRecording(Value):
+    """Velocities slot by slot, as somebody recorded them; no kernel can be told from them."""
+
+    kind: Literal["from-recording"] = "from-recording"
+    commands_rad_s: Annotated[tuple[float, ...], Field(min_length=1, max_length=MAX_CHIPS)]
+
+    @property
+    def polynomial(self) -> str:
+        """None: empty."""
+        return ""
+
+    @property
+    def amplitude_rad_s(self) -> float:
+        """The largest speed."""
+        return max(abs(command) for command in self.commands_rad_s)
+
+    def velocity_rad_s(self) -> Array:
+        """What is commanded, shape (n,)."""
+        return np.array(self.commands_rad_s, np.float64)
+
+
 def _repeated(period: NDArray[Chip], times: int) -> NDArray[Chip]:
     if period.size * times > MAX_CHIPS:
         raise ConfigError(
@@ -202,7 +224,8 @@ Sequence = Annotated[
     | Annotated[RandomUniform, Tag("random-uniform")]
     | Annotated[InverseRepeat, Tag("inverse-repeat")]
     | Annotated[FieldSequence, Tag("field")]
-    | Annotated[MultiAmplitude, Tag("multi-amplitude")],
+    | Annotated[MultiAmplitude, Tag("multi-amplitude")]
+    | Annotated[FromRecording, Tag("from-recording")],
     Discriminator(_kind),
 ]
 """Anything that can be played."""
@@ -211,7 +234,9 @@ Periodic = Annotated[
     Annotated[MSequence, Tag("m-sequence")]
     | Annotated[InverseRepeat, Tag("inverse-repeat")]
     | Annotated[FieldSequence, Tag("field")]
-    | Annotated[MultiAmplitude, Tag("multi-amplitude")],
+    | Annotated[MultiAmplitude, Tag("multi-amplitude")]
+    | Annotated[FromRecording, Tag("from-recording")],
     Discriminator(_kind),
 ]
-"""What a rig can be identified with: sequences that repeat and have a polynomial."""
+"""What a rig can be identified with: sequences that repeat and have a polynomial. Commands from a
+recording stand here too, to be played again; they identify nothing."""

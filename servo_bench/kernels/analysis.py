@@ -6,19 +6,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_bench.errors import RecordingError
-from servo_bench.excitation.experiment import MSequence, Phase
+from servo_bench.excitation.experiment import Phase
 from servo_bench.kernels.comparison import Comparison, compare
-from servo_bench.kernels.filling import extract_filled, spoilt_by
+from servo_bench.kernels.filling import spoilt_by
 from servo_bench.kernels.identification import (
     Identification,
     command_delay,
-    locate,
-    response_periods,
+)
+from servo_bench.kernels.played import Played
+from servo_bench.kernels.plays import (
+    MeasuredPlay,
+    amplitude_of,
+    distance_from,
+    measured_play,
+    plays_of,
+    separated_orders,
 )
 from servo_bench.kernels.quality import RunQuality, run_quality
 from servo_bench.kernels.response import LARGEST_UNEVENNESS, Response, Timebase, response_of
-from servo_bench.kernels.shifts import collision_free_memory
+from servo_bench.kernels.separation import SeparatedKernels
 from servo_bench.kernels.volterra import Kernels
 from servo_bench.recording.recording import Recording
 
@@ -73,6 +79,10 @@ class Analysis:
     energy_percent         share of the response's variance in the kernels of orders 1, 2, 3
     quality                of the run itself
     flags                  sentences about what the reader must know; empty for a flawless run
+    played                 the sequence that identified
+    bias_rad_s             the constant velocity that was added to it
+    repeat_noise_rad_s     standard deviation of a sample between periods; NaN of a single period
+    separated              orders told apart by several amplitudes, where there were several
     """
 
     kernels: Kernels
@@ -85,6 +95,15 @@ class Analysis:
     energy_percent: tuple[float, float, float]
     quality: RunQuality
     flags: tuple[str, ...]
+    played: Played
+    bias_rad_s: float
+    repeat_noise_rad_s: float
+    separated: SeparatedKernels | None
+
+    @property
+    def amplitudes(self) -> int:
+        """How many amplitudes identified."""
+        return len(self.separated.amplitudes) if self.separated else 1
 
     @property
     def odd_percent(self) -> float:
@@ -104,7 +123,11 @@ class Analysis:
             "amplitude_rad_s": kernels.amplitude,
             "period_s": kernels.period_s,
             "memory": kernels.memory,
-            "collision_free_memory": collision_free_memory(kernels.polynomial, kernels.order),
+            "collision_free_memory": self.played.resolvable_memory,
+            "sequence": self.played.kind,
+            "levels": kernels.levels,
+            "amplitudes": self.amplitudes,
+            "bias_rad_s": self.bias_rad_s,
             "periods": kernels.periods,
             "delay_periods": self.delay_periods,
             "timebase": self.timebase,
@@ -115,6 +138,7 @@ class Analysis:
             "angle_error_order1_rms_rad": validation and validation.angle_error_order1_rms_rad,
             "angle_error_order3_rms_rad": validation and validation.angle_error_order3_rms_rad,
             "noise_rad_s": self.noise_rad_s,
+            "repeat_noise_rad_s": self.repeat_noise_rad_s,
             "noise_ceiling_percent": self.noise_ceiling_percent,
             "energy_order1_percent": self.energy_percent[0],
             "energy_order2_percent": self.energy_percent[1],
@@ -134,62 +158,55 @@ def analyse(
 ) -> Analysis:
     """Kernels up to order 3 from the identification periods, judged on the validation.
 
-    Memory (samples) and polynomial (octal) are the experiment's where they are not given; without
-    an experiment the memory is the largest that the polynomial can resolve. Raises RecordingError
+    Memory (samples) and polynomial are the experiment's where they are not given; without an
+    experiment a plain M-sequence is meant, and the memory is the largest that it can resolve. Of
+    several amplitudes the kernels are those nearest to the validation's. Raises RecordingError
     where channels, angles, or the end of the period are missing, FitError where the angle does
     not answer the sequence or the memory is too long, ConfigError for a polynomial that is none.
     """
     response = response_of(recording)
-    octal = _polynomial_of(recording) if polynomial is None else polynomial
-    found = locate(response, octal)
-    response = replace(response, command_rad_s=response.command_rad_s - found.bias_rad_s)
-    samples = _memory_of(recording, octal) if memory is None else memory
-    delay = command_delay(response, found, samples)
-    measured, spoilt = response_periods(response, found, samples, delay)
-    kernels, periods = extract_filled(
-        measured, spoilt, octal, found.amplitude_rad_s, samples, period_s=recording.period_s
-    )
-    chips = response.command_rad_s[found.start : found.start + found.chips]
-    chips = chips / found.amplitude_rad_s
-    variance = float(periods.var())
+    plays, left_out = plays_of(recording, response, polynomial)
+    bias_rad_s = plays[0].bias_rad_s
+    response = replace(response, command_rad_s=response.command_rad_s - bias_rad_s)
+    samples = _memory_of(recording, plays[0]) if memory is None else memory
+    delay = command_delay(response, max(plays, key=amplitude_of), samples)
+    measured = [measured_play(response, play, samples, delay) for play in plays]
+    main = min(measured, key=distance_from(response))
+    kernels, variance = main.kernels, float(main.periods.var())
+    chips = main.found.played.chips
     noise = _noise_rad_s(recording, response)
     shares = 100.0 * kernels.energies[1:] / variance
     validation = _validation(kernels, response, delay)
+    flags = _flags(recording, response, main, validation, delay=delay)
+    if left_out:
+        flags.append(f"{left_out} of {left_out + len(plays)} amplitudes were not played whole.")
     return Analysis(
         kernels=kernels,
         delay_periods=delay,
         timebase=response.timebase,
         identification=compare(
-            kernels, periods.mean(axis=0), chips, chips, np.logical_not(spoilt.all(axis=0))
+            kernels,
+            main.periods.mean(axis=0),
+            chips,
+            chips,
+            np.logical_not(main.spoilt.all(axis=0)),
         ),
         validation=validation,
         noise_rad_s=noise,
         noise_ceiling_percent=100.0 * (1.0 - noise**2 / variance),
         energy_percent=(float(shares[0]), float(shares[1]), float(shares[2])),
         quality=run_quality(recording),
-        flags=tuple(_flags(recording, response, found, kernels, validation, delay=delay)),
+        flags=tuple(flags),
+        played=main.found.played,
+        bias_rad_s=bias_rad_s,
+        repeat_noise_rad_s=main.repeat_noise_rad_s,
+        separated=separated_orders(measured),
     )
 
 
-def _polynomial_of(recording: Recording) -> str:
+def _memory_of(recording: Recording, found: Identification) -> int:
     if recording.experiment is None:
-        raise RecordingError(
-            "the recording does not say which M-sequence was played. Name its polynomial, in "
-            "octal with the highest power first (the paper's experiment: 40473)."
-        )
-    identification = recording.experiment.identification
-    if not isinstance(identification, MSequence):
-        raise RecordingError(
-            f"the recording was identified with a {identification.kind} sequence, and this "
-            f'analysis reads plain M-sequences. Play kind = "m-sequence", or take the kernels of '
-            f"this one with servo_bench.kernels.separation or an estimator."
-        )
-    return identification.polynomial
-
-
-def _memory_of(recording: Recording, polynomial: str) -> int:
-    if recording.experiment is None:
-        return collision_free_memory(polynomial, 3)
+        return found.played.resolvable_memory
     return recording.experiment.memory
 
 
@@ -241,12 +258,12 @@ def _noise_rad_s(recording: Recording, response: Response) -> float:
 def _flags(
     recording: Recording,
     response: Response,
-    found: Identification,
-    kernels: Kernels,
+    main: MeasuredPlay,
     validation: Validation | None,
     *,
     delay: int,
 ) -> list[str]:
+    kernels, found = main.kernels, main.found
     flags = []
     if recording.cut:
         flags.append("The recording was cut before its run ended.")
@@ -262,6 +279,14 @@ def _flags(
             f"lasted over {100 * LARGEST_UNEVENNESS:.0f} % longer or shorter than a period. They "
             f"and the memory after them, {int(spoilt.sum())} slots, count neither for the kernels "
             "nor in a VAF."
+        )
+    wanted = recording.experiment.memory if recording.experiment else kernels.memory
+    if found.played.kind == "field" and kernels.memory < wanted:
+        flags.append(
+            f"The kernels reach over {kernels.memory} of the experiment's {wanted} samples. On "
+            f"{found.polynomial} over GF({found.played.field}) every later answer, a linear one "
+            "too, is a sum of products within that reach: what the rig remembers longer is aliased "
+            "into these kernels. The other estimators are not bound to that."
         )
     if kernels.periods < found.periods:
         flags.append(f"Only {kernels.periods} of {found.periods} periods could be used.")

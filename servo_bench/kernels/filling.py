@@ -9,9 +9,9 @@ information: the kernels are those of the samples that are left.
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_bench.excitation.msequence import m_sequence
+from servo_bench.kernels.played import Played, as_played
 from servo_bench.kernels.predict import predict
-from servo_bench.kernels.volterra import Kernels, extract
+from servo_bench.kernels.volterra import Kernels
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ def spoilt_by(disturbed: NDArray[np.bool_], memory: int) -> NDArray[np.bool_]:
 def extract_filled(
     periods: Array,
     spoilt: NDArray[np.bool_],
-    polynomial: str,
+    sequence: Played | str,
     amplitude: float,
     memory: int,
     *,
@@ -38,21 +38,22 @@ def extract_filled(
 ) -> tuple[Kernels, Array]:
     """Kernels to order 3 of `periods`, shape (periods, N), and the periods as they were filled.
 
-    `spoilt` has the same shape. Errors as `extract`.
+    `spoilt` has the same shape; a polynomial alone is that M-sequence. Errors as the extraction's.
     """
+    played = as_played(sequence)
     filled = _from_other_periods(periods, spoilt)
     alone = spoilt & spoilt.all(axis=0)
     filled[alone] = float(periods[~spoilt].mean()) if not spoilt.all() else 0.0
-    kernels = extract(filled, polynomial, amplitude, memory, period_s=period_s)
+    kernels = played.kernels(filled, amplitude, memory, period_s=period_s)
     if not alone.any():
         return kernels, filled
-    chips = m_sequence(polynomial).astype(np.float64)
+    chips = played.chips
     scale = float(filled.std())
     for _ in range(ROUNDS):
         predicted = np.broadcast_to(predict(kernels, chips, history=chips), filled.shape)
         moved = float(np.abs(filled[alone] - predicted[alone]).max())
         filled[alone] = predicted[alone]
-        kernels = extract(filled, polynomial, amplitude, memory, period_s=period_s)
+        kernels = played.kernels(filled, amplitude, memory, period_s=period_s)
         if moved < SETTLED * scale:
             break
     return kernels, filled

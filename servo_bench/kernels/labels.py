@@ -77,6 +77,19 @@ def element_labels(
     return ElementLabels(*labels)
 
 
+def level_labels(levels: int, memory: int) -> ElementLabels:
+    """Labels for a sequence of three or five levels whose terms were fitted without dependence.
+
+    On three u^3 = u, so g1(i) stands with g3(i,i,i); on five every element stands alone.
+    """
+    labels = [np.full((memory,) * m, Label.IDENTIFIABLE, np.int8) for m in (1, 2, 3)]
+    if levels == 3:
+        labels[0][:] = Label.SUM_ONLY
+        each = np.arange(memory)
+        labels[2][each, each, each] = Label.SUM_ONLY
+    return ElementLabels(*labels)
+
+
 def _orderings(order: int) -> list[list[int]]:
     if order == 1:
         return [[0]]

@@ -3,7 +3,8 @@
     y(t) = c0 + sum_i c1(i) u(t-i) + sum_{i<j} c2(i,j) u(t-i) u(t-j) + sum_{i<j<k} c3 u u u
 
 with u = command / amplitude. Off +-1 (a standing axis has u = 0) the diagonals that binary input
-cannot identify are missing, so the prediction is exact in form for +-1 only.
+cannot identify are missing, so the prediction is exact in form for +-1 only. Kernels of more levels
+bring diagonals (i <= j <= k).
 """
 
 import numpy as np
@@ -57,9 +58,11 @@ def _polynomial(kernels: Kernels, lagged: Array, order: int) -> Array:
     if order >= 2:
         y += np.einsum("ti,ti->t", x @ kernels.c2, x)
     if order >= 3:
-        for k in range(2, kernels.memory):
-            below = x[:, :k]
-            y += x[:, k] * np.einsum("ti,ti->t", below @ kernels.c3[:k, :k, k], below)
+        diagonals = int(kernels.levels > 2)
+        for k in range(2 * (1 - diagonals), kernels.memory):
+            n = k + diagonals
+            below = x[:, :n]
+            y += x[:, k] * np.einsum("ti,ti->t", below @ kernels.c3[:n, :n, k], below)
     return y
 
 

@@ -57,6 +57,7 @@ class Kernels:
                     noise and aliases of orders 5 and above together
     standard_error  of every coefficient, from the spread between periods: noise alone; None
                     where a single period was measured
+    levels          how many the chips had: 2, or 3 and 5, whose c2 and c3 have diagonals (`levels`)
     """
 
     polynomial: str
@@ -72,6 +73,7 @@ class Kernels:
     c3: Array
     scatter: float
     standard_error: float | None
+    levels: int = 2
 
     @property
     def lags_s(self) -> Array:
@@ -87,8 +89,9 @@ class Kernels:
     @property
     def g2_matrix(self) -> Array:
         """g2, symmetric, (M, M); NaN on its diagonal, which binary input cannot identify."""
-        matrix = (self.c2 + self.c2.T) / (2.0 * self.amplitude**2)
-        np.fill_diagonal(matrix, np.nan)
+        matrix = np.asarray((self.c2 + self.c2.T) / (2.0 * self.amplitude**2))
+        if self.levels == 2:
+            np.fill_diagonal(matrix, np.nan)
         return matrix
 
     def g2(self, i: int, j: int) -> float:
@@ -102,14 +105,17 @@ class Kernels:
     def g3_section(self, tau3: int) -> Array:
         """The cross-section g3(., ., tau3), symmetric, (M, M).
 
-        NaN wherever two lags are equal (the diagonal, row tau3 and column tau3): binary input
-        cannot identify those.
+        NaN wherever two lags are equal (the diagonal, row tau3 and column tau3), which binary input
+        cannot identify; on three levels where all three are.
         """
         half = self.c3[:, :, tau3] + self.c3[:, tau3, :] + self.c3[tau3, :, :]
         section: Array = (half + half.T) / (6.0 * self.amplitude**3)
-        np.fill_diagonal(section, np.nan)
-        section[tau3, :] = np.nan
-        section[:, tau3] = np.nan
+        if self.levels == 2:
+            np.fill_diagonal(section, np.nan)
+            section[tau3, :] = np.nan
+            section[:, tau3] = np.nan
+        elif self.levels == 3:
+            section[tau3, tau3] = np.nan
         return section
 
     @property
@@ -117,9 +123,15 @@ class Kernels:
         """The variance that each order 0 to 3 puts into the response to random binary input.
 
         E_m = sum c_m^2 (order 0 has none); shape (4,), response squared. The elements' scatter is
-        in it: number of elements x scatter^2.
+        in it: number of elements x scatter^2. Diagonals fold into the order that they have there.
         """
-        return np.array([0.0, *(float(np.sum(c**2)) for c in (self.c1, self.c2, self.c3))])
+        repeated = np.einsum("iik->k", self.c3) + np.einsum("ikk->i", self.c3)
+        linear = self.c1 + repeated - np.einsum("iii->i", self.c3)
+        apart = [self.c2, self.c3]
+        if self.levels > 2:
+            lags = np.indices(self.c3.shape)
+            apart = [np.triu(self.c2, 1), self.c3 * np.all(np.diff(lags, axis=0) > 0, axis=0)]
+        return np.array([0.0, *(float(np.sum(c**2)) for c in (linear, *apart))])
 
 
 def extract(

@@ -4,17 +4,22 @@ from math import comb
 
 import numpy as np
 
+from servo_bench.estimators.figures import KernelFigures
+from servo_bench.estimators.study import Study
 from servo_bench.kernels.analysis import Analysis, Validation
-from servo_bench.kernels.shifts import collision_free_memory
 from servo_bench.kernels.volterra import Kernels
 from servo_bench.recording.recording import Recording
+from servo_bench.report.distortion_words import scatter_percent
+from servo_bench.report.estimator_tables import label_rows
 from servo_bench.report.kernel_figures import (
     EXPERIMENT,
     draw_first_kernel,
     draw_second_kernel,
+    draw_separated,
     draw_third_kernel,
     third_kernel_limit,
 )
+from servo_bench.report.label_figures import draw_labels
 from servo_bench.report.plates import Facts, Plate
 from servo_bench.report.prediction_figures import (
     WINDOW_SAMPLES,
@@ -26,9 +31,14 @@ from servo_bench.report.quality_figures import draw_punctuality, draw_timeline
 from servo_bench.report.style import drawn, symmetric_limit
 from servo_bench.report.wording import DEG, percent, quantity, small_percent
 
+POSTERIOR_WORDS = (
+    " Orange: the regularised posterior, with its 95 % band, which has taken the aliases of orders "
+    "5 and 7 for themselves."
+)
 
-def kernel_plates(analysis: Analysis) -> list[Plate]:
-    """Figures 7, 8 and 9, and where the variance lies."""
+
+def kernel_plates(analysis: Analysis, posterior: KernelFigures | None = None) -> list[Plate]:
+    """Figures 7, 8 and 9, and where the variance lies; `posterior` is drawn beside the first."""
     kernels = analysis.kernels
     limit = third_kernel_limit(kernels, EXPERIMENT)
     return [
@@ -36,14 +46,16 @@ def kernel_plates(analysis: Analysis) -> list[Plate]:
             drawn(
                 "figure-7",
                 2.2,
-                lambda figure: draw_first_kernel(figure.subplots(), kernels, EXPERIMENT),
+                lambda figure: draw_first_kernel(
+                    figure.subplots(), kernels, EXPERIMENT, posterior=posterior
+                ),
                 "First Volterra kernel over its lags",
             ),
             "Figure 7 of the paper",
             "First Volterra kernel g₁(τ₁) of the load's velocity. One amplitude A shows it only as "
             "g₁ + A²F. Grey band (where it is wider than the line): ±2 scatter of a coefficient, "
             "that is noise and aliases of orders 5 and above. Per sample; divided by Δt it is the "
-            "kernel in continuous time.",
+            "kernel in continuous time." + (POSTERIOR_WORDS if posterior is not None else ""),
             _first_facts(analysis),
         ),
         Plate(
@@ -57,7 +69,7 @@ def kernel_plates(analysis: Analysis) -> list[Plate]:
             "Second Volterra kernel g₂(τ₁, τ₂), as the height of its term in the response. Left on "
             "the scale of the third kernel, right on its own. A symmetric backlash has none: what "
             "the right map shows is then noise and aliases of higher orders. Grey with a cross: "
-            "not identifiable from binary input.",
+            "not identifiable from this sequence.",
             _second_facts(analysis),
         ),
         Plate(
@@ -70,7 +82,7 @@ def kernel_plates(analysis: Analysis) -> list[Plate]:
             "Figure 9 of the paper",
             "Cross-section g₃(τ₁, τ₂, τ₃ = 1) of the third Volterra kernel, as the height of its "
             "term in the response. A minus sign marks cells below −10 % of the scale. Grey "
-            "with a cross: two lags are alike, not identifiable from binary input.",
+            "with a cross: two lags are alike, not identifiable from this sequence.",
             _third_facts(analysis),
         ),
         Plate(
@@ -89,6 +101,46 @@ def kernel_plates(analysis: Analysis) -> list[Plate]:
             ),
         ),
     ]
+
+
+def study_plates(study: Study) -> list[Plate]:
+    """What the experiment can tell about each element, and orders told apart by amplitudes."""
+    plates = [
+        Plate(
+            drawn(
+                "labels",
+                2.6,
+                lambda figure: draw_labels(figure, study.labels),
+                "Which kernel elements are identifiable",
+            ),
+            "What this sequence can tell",
+            "Identifiable: the element itself is measured. Sum only: it is measured together with "
+            "others (on one amplitude g₁(i) with A²F(i), the diagonals with lower orders). "
+            "Aliased: another element lies on the same shift, and no estimator can split them.",
+            tuple((row.name, row.value) for row in label_rows(study)),
+        )
+    ]
+    separated = study.analysis.separated
+    if separated is not None:
+        amplitudes = ", ".join(f"{DEG * a:.4g}" for a in separated.amplitudes)
+        plates.append(
+            Plate(
+                drawn(
+                    "separated",
+                    2.2,
+                    lambda figure: draw_separated(
+                        figure.subplots(), separated, study.analysis.kernels, EXPERIMENT
+                    ),
+                    "First kernel and folded third kernel, told apart",
+                ),
+                "Orders told apart by amplitudes",
+                f"g₁ and the folded diagonals A³F of the third kernel, each for itself, from the "
+                f"amplitudes {amplitudes} deg/s. Bands: ±2 standard errors. Between these "
+                f"amplitudes they interpolate; beyond, they do not hold.",
+                (("condition of the powers", f"{separated.condition:.3g}"),),
+            )
+        )
+    return plates
 
 
 def validation_plates(validation: Validation) -> list[Plate]:
@@ -170,14 +222,16 @@ def run_plates(analysis: Analysis, recording: Recording) -> list[Plate]:
 def _first_facts(analysis: Analysis) -> Facts:
     kernels = analysis.kernels
     peak = int(np.argmax(np.abs(kernels.g1)))
-    limit = collision_free_memory(kernels.polynomial, kernels.order)
     height = quantity(float(kernels.c1[peak]), DEG, "deg/s")
     return (
         ("peak A g₁", f"{height} at {kernels.lags_s[peak] * 1e3:g} ms"),
         ("sum of g₁ (static gain)", f"{float(kernels.g1.sum()):.4f}"),
         ("scatter", quantity(kernels.scatter, DEG, "deg/s")),
         ("energy share", percent(analysis.energy_percent[0])),
-        ("memory", f"{kernels.memory} samples; {limit} can be resolved"),
+        (
+            "memory",
+            f"{kernels.memory} samples; {analysis.played.resolvable_memory} can be resolved",
+        ),
     )
 
 
@@ -185,7 +239,7 @@ def _second_facts(analysis: Analysis) -> Facts:
     kernels = analysis.kernels
     return (
         ("energy share", small_percent(analysis.energy_percent[1])),
-        ("scatter alone gives", small_percent(_scatter_percent(analysis, 2))),
+        ("scatter alone gives", small_percent(scatter_percent(analysis, 2))),
         ("largest 2 A² |g₂|", quantity(symmetric_limit(kernels.c2), DEG, "deg/s")),
         ("largest A |g₁|", quantity(symmetric_limit(kernels.c1), DEG, "deg/s")),
     )
@@ -196,17 +250,10 @@ def _third_facts(analysis: Analysis) -> Facts:
     largest = quantity(symmetric_limit(kernels.c3), DEG, "deg/s")
     return (
         ("energy share", small_percent(analysis.energy_percent[2])),
-        ("scatter alone gives", small_percent(_scatter_percent(analysis, 3))),
+        ("scatter alone gives", small_percent(scatter_percent(analysis, 3))),
         ("largest 6 A³ |g₃|", f"{largest} at {_lags(kernels)}"),
         ("elements", f"{comb(kernels.memory, 3)}"),
     )
-
-
-def _scatter_percent(analysis: Analysis, order: int) -> float:
-    """The energy share that coefficients of nothing but scatter would have."""
-    kernels = analysis.kernels
-    energy = comb(kernels.memory, order) * kernels.scatter**2
-    return 100.0 * energy / float(np.var(analysis.identification.measured))
 
 
 def _lags(kernels: Kernels) -> str:

@@ -10,11 +10,29 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from servo_bench import __version__
+from servo_bench.estimators.study import Study
 from servo_bench.kernels.analysis import Analysis
 from servo_bench.kernels.paper_simulation import PaperResult
 from servo_bench.recording.recording import Recording
-from servo_bench.report.analysis_plates import kernel_plates, run_plates, validation_plates
-from servo_bench.report.main_numbers import condition_rows, prediction_rows, run_rows
+from servo_bench.report.analysis_plates import (
+    kernel_plates,
+    run_plates,
+    study_plates,
+    validation_plates,
+)
+from servo_bench.report.distortion_words import distortion_sentences
+from servo_bench.report.estimator_tables import (
+    estimator_rows,
+    judged_words,
+    simulated_table,
+    trust_sentence,
+)
+from servo_bench.report.main_numbers import (
+    condition_rows,
+    prediction_rows,
+    run_rows,
+    sequence_words,
+)
 from servo_bench.report.paper_plates import PLANTS, paper_plates
 from servo_bench.report.plates import Plate
 from servo_bench.report.wording import ceiling, event_rows, numbers, percent, settings
@@ -25,8 +43,8 @@ ORDINARY_EVENTS = frozenset({"playing", "stopping", "slot skipped"})
 """Events of every run, and those that are counted as missed slots."""
 
 
-def analysis_report(analysis: Analysis, recording: Recording) -> str:
-    """The report of one experiment, as HTML."""
+def analysis_report(analysis: Analysis, recording: Recording, study: Study | None = None) -> str:
+    """The report of one experiment, as HTML; with what several estimators make of it."""
     experiment, rig = recording.experiment, recording.rig
     events = event_rows(recording.events[:EVENTS_SHOWN], _start_ns(recording))
     return rendered(
@@ -35,13 +53,20 @@ def analysis_report(analysis: Analysis, recording: Recording) -> str:
         rig=rig.name if rig else "a rig that the recording does not name",
         period_ms=f"{recording.period_s * 1e3:g}",
         kernels=analysis.kernels,
+        sequence=sequence_words(analysis),
         headline=headline(analysis),
+        estimators=estimator_rows(study) if study else [],
+        judged=judged_words(),
+        simulated=simulated_table(study) if study else None,
+        trust=trust_sentence(study) if study else "",
+        distortion=distortion_sentences(analysis),
         warnings=_warnings(analysis, recording),
         predictions=prediction_rows(analysis),
         conditions=condition_rows(analysis),
         run=run_rows(analysis.quality, recording),
         plates=[
-            *kernel_plates(analysis),
+            *kernel_plates(analysis, study.posterior if study else None),
+            *(study_plates(study) if study else ()),
             *(validation_plates(analysis.validation) if analysis.validation else ()),
         ],
         run_plates=run_plates(analysis, recording),
@@ -50,7 +75,7 @@ def analysis_report(analysis: Analysis, recording: Recording) -> str:
         provenance=sorted(recording.provenance.items()),
         events=events,
         events_left=len(recording.events) - len(events),
-        numbers=numbers(analysis.numbers()),
+        numbers=numbers((study or analysis).numbers()),
     )
 
 

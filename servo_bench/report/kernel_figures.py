@@ -16,11 +16,14 @@ from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from servo_bench.estimators.figures import KernelFigures
+from servo_bench.kernels.separation import SeparatedKernels
 from servo_bench.kernels.volterra import Kernels
 from servo_bench.report.style import (
     ACTUAL,
     BAND,
     MUTED,
+    ORDER_1,
     ORDER_3,
     SIGNED_MAP,
     UNKNOWN,
@@ -69,14 +72,26 @@ EXPERIMENT = Shown(180.0 / math.pi, "deg/s", 1e3, "ms", as_terms=True)
 SIMULATION = Shown(1.0, "1", 1.0, "s", as_terms=False)
 
 
-def draw_first_kernel(axes: Axes, kernels: Kernels, shown: Shown, title: str = "") -> None:
-    """g1 over its lags, with +-2 scatter; beside A g1 also g1 itself, which has no unit."""
+def draw_first_kernel(
+    axes: Axes,
+    kernels: Kernels,
+    shown: Shown,
+    title: str = "",
+    posterior: KernelFigures | None = None,
+) -> None:
+    """g1 over its lags, with +-2 scatter; beside A g1 also g1 itself, which has no unit.
+
+    With a posterior also its mean and band.
+    """
     lags = kernels.lags_s * shown.time_scale
     c1 = kernels.g1 * shown.factor(kernels, 1)
     scatter = 2.0 * kernels.scatter * shown.response
     axes.axhline(0.0, color=MUTED, linewidth=0.6)
     axes.fill_between(lags, c1 - scatter, c1 + scatter, color=BAND, linewidth=0.0, zorder=1)
-    axes.plot(lags, c1, color=ORDER_3, marker="o", markersize=3.2)
+    axes.plot(lags, c1, color=ORDER_3, marker="o", markersize=3.2, label="correlation")
+    if posterior is not None:
+        _draw_posterior(axes, posterior, shown.time_scale, shown.factor(kernels, 1))
+        axes.legend(loc="upper right")
     caption_axes(axes, title, f"τ ({shown.time_unit})", shown.label(1))
     if shown.as_terms:
         per_command = shown.factor(kernels, 1)
@@ -88,6 +103,43 @@ def draw_first_kernel(axes: Axes, kernels: Kernels, shown: Shown, title: str = "
             ),
         )
         right.set_ylabel("g₁ (1)")
+
+
+def _draw_posterior(axes: Axes, posterior: KernelFigures, time_scale: float, factor: float) -> None:
+    lags = posterior.lags_s * time_scale
+    low, high = factor * posterior.g1_low, factor * posterior.g1_high
+    axes.fill_between(lags, low, high, color=ORDER_1, alpha=0.35, linewidth=0.0, zorder=2)
+    axes.plot(
+        lags,
+        factor * posterior.g1,
+        color=ORDER_1,
+        linestyle="--",
+        linewidth=0.9,
+        label="regularised, 95 %",
+    )
+
+
+def draw_separated(axes: Axes, separated: SeparatedKernels, kernels: Kernels, shown: Shown) -> None:
+    """A g1 and A^3 F at the kernels' amplitude, with +-2 standard errors."""
+    lags = kernels.lags_s * shown.time_scale
+    amplitude, scale = kernels.amplitude, shown.response
+    axes.axhline(0.0, color=MUTED, linewidth=0.6)
+    for values, error, power, colour, label in (
+        (separated.g1, separated.errors[0], 1, ORDER_3, "A g₁"),
+        (separated.folded, separated.errors[1], 3, ORDER_1, "A³ F"),
+    ):
+        factor = scale * amplitude**power
+        axes.fill_between(
+            lags,
+            factor * (values - 2.0 * error),
+            factor * (values + 2.0 * error),
+            color=colour,
+            alpha=0.25,
+            linewidth=0.0,
+        )
+        axes.plot(lags, factor * values, color=colour, marker="o", markersize=3.0, label=label)
+    axes.legend(loc="upper right")
+    caption_axes(axes, "", f"τ ({shown.time_unit})", shown.unit)
 
 
 def draw_second_kernel(figure: Figure, kernels: Kernels, shown: Shown, limit: float) -> None:

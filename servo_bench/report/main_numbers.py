@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 from servo_bench.kernels.analysis import Analysis
 from servo_bench.kernels.quality import RunQuality
-from servo_bench.kernels.shifts import collision_free_memory
 from servo_bench.recording.recording import Recording
 from servo_bench.report.wording import DEG, NOT_KNOWN, Row, ceiling, percent, quantity
 
@@ -56,21 +55,36 @@ def prediction_rows(analysis: Analysis) -> list[Prediction]:
 def condition_rows(analysis: Analysis) -> list[Row]:
     """Under which conditions the figures hold."""
     kernels = analysis.kernels
-    limit = collision_free_memory(kernels.polynomial, kernels.order)
     return [
         Row("noise ceiling of the VAF", ceiling(analysis.noise_ceiling_percent)),
         Row("noise of the velocity", quantity(analysis.noise_rad_s, DEG, "deg/s")),
-        Row("M-sequence", f"f(x) = {kernels.polynomial} (octal)"),
+        Row("sequence", sequence_words(analysis)),
         Row("periods averaged", str(kernels.periods)),
+        Row("noise between periods", quantity(analysis.repeat_noise_rad_s, DEG, "deg/s")),
         Row("amplitude A", quantity(kernels.amplitude, DEG, "deg/s", 6)),
         Row("sampling period Δt", quantity(kernels.period_s, 1e3, "ms", 6)),
         Row(
             "memory M", f"{kernels.memory} samples, {kernels.memory * kernels.period_s * 1e3:g} ms"
         ),
-        Row("memory that can be resolved", f"{limit} samples"),
+        Row("memory that can be resolved", f"{analysis.played.resolvable_memory} samples"),
         Row("command to first answer", f"{analysis.delay_periods} whole periods"),
         Row("time of the samples", f"{analysis.timebase} clock"),
     ]
+
+
+def sequence_words(analysis: Analysis) -> str:
+    """What was played to identify."""
+    played = analysis.played
+    name = f"f(x) = {played.polynomial}"
+    words = f"{name} (octal)" if played.kind != "field" else f"{name} over GF({played.field})"
+    if played.kind == "inverse-repeat":
+        words += ", inverse repeat"
+    if analysis.separated is not None:
+        words += f", {analysis.amplitudes} amplitudes"
+    bias = analysis.bias_rad_s
+    if abs(bias) > 1e-6 * analysis.kernels.amplitude:
+        words += f", bias {quantity(bias, DEG, 'deg/s')}"
+    return words
 
 
 def run_rows(quality: RunQuality, recording: Recording) -> list[Row]:

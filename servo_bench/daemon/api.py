@@ -1,0 +1,358 @@
+"""The API: routes, typed in and out, that ask the daemon and the library. See docs/daemon.md."""
+
+import time
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, FastAPI, Query, Request, Response, WebSocket
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+
+from servo_bench import __version__
+from servo_bench.daemon import library
+from servo_bench.daemon import models as m
+from servo_bench.daemon.config import Bench
+from servo_bench.daemon.core import Daemon
+from servo_bench.daemon.guard import COOKIE, SESSION_S, Guard, Sessions
+from servo_bench.daemon.page_files import page_file
+from servo_bench.daemon.problems import MEDIA_TYPE, ApiError, problem, problem_of
+from servo_bench.daemon.reference import reference
+from servo_bench.daemon.requests import chosen_experiment
+from servo_bench.daemon.viewers import Viewers
+from servo_bench.errors import BenchError
+from servo_bench.excitation.experiment import Experiment
+from servo_bench.recording.mcap_file import load
+
+REFRESH_EVERY_S = 2.0
+REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
+PROBLEMS: dict[int | str, dict[str, Any]] = {
+    "default": {
+        "model": m.Problem,
+        "description": "what went wrong, in words (RFC 9457)",
+        "content": {MEDIA_TYPE: {}},
+    }
+}
+Words = Annotated[str, Query(max_length=200)]
+
+
+def _daemon(request: Request) -> Daemon:
+    daemon: Daemon = request.app.state.daemon
+    return daemon
+
+
+def _sessions(request: Request) -> Sessions:
+    sessions: Sessions = request.app.state.sessions
+    return sessions
+
+
+Served = Annotated[Daemon, Depends(_daemon)]
+api = APIRouter(prefix="/api", responses=PROBLEMS)
+
+
+@api.get("/health")
+async def health(request: Request) -> m.Health:
+    """Whether the daemon answers."""
+    since_s: float = request.app.state.since_s
+    return m.Health(version=__version__, uptime_s=time.monotonic() - since_s)
+
+
+@api.post("/login", status_code=204)
+async def login(asked: m.LoginRequest, request: Request, response: Response) -> None:
+    """Exchange the token for a session's cookie."""
+    sessions = _sessions(request)
+    if sessions.needed and not sessions.is_token(asked.token):
+        raise ApiError(401, "wrong-token", "that is not the token of this daemon.")
+    response.set_cookie(
+        COOKIE,
+        sessions.open(),
+        max_age=SESSION_S,
+        httponly=True,
+        samesite="strict",
+        secure=request.url.scheme == "https",
+    )
+
+
+@api.get("/rig")
+async def rig(daemon: Served) -> m.RigView:
+    """The rig that this daemon owns."""
+    bench = daemon.bench
+    return m.RigView(
+        name=bench.rig.name,
+        bus=bench.rig.bus,
+        limits=m.LimitsView(**bench.rig.limits.model_dump()),
+        simulated=bench.simulated,
+        reachable=daemon.reachable,
+    )
+
+
+@api.get("/status")
+async def status(daemon: Served) -> m.Status:
+    """What the daemon does now."""
+    return m.Status.model_validate(daemon.status())
+
+
+@api.get("/experiments")
+async def experiments(daemon: Served) -> list[m.ExperimentView]:
+    """What may be played."""
+    bench = daemon.bench
+    return await run_in_threadpool(
+        lambda: [_view(name, bench.texts[name], one) for name, one in bench.experiments.items()]
+    )
+
+
+@api.post("/preview")
+async def preview(asked: m.PreviewRequest, daemon: Served) -> m.ExperimentView:
+    """What an experiment with changes would do: how far, how fast, how long. Nothing waits."""
+    changed = await run_in_threadpool(
+        chosen_experiment, daemon.bench, asked.experiment, asked.overrides
+    )
+    name = asked.experiment.removesuffix(".toml")
+    return _view(name, daemon.bench.texts[name], changed)
+
+
+def _view(file: str, text: str, experiment: Experiment) -> m.ExperimentView:
+    schedule = experiment.schedule()
+    return m.ExperimentView(
+        name=experiment.name,
+        file=file,
+        text=text,
+        period_s=experiment.period_s,
+        seconds=schedule.duration_s,
+        slots=schedule.slots,
+        peak_velocity_rad_s=schedule.peak_velocity_rad_s,
+        peak_travel_rad=schedule.peak_travel_rad,
+    )
+
+
+@api.post("/runs", status_code=202)
+async def submit(asked: m.RunRequest, daemon: Served) -> m.Accepted:
+    """Let a run wait for its turn; `position` runs are before it."""
+    entry = daemon.new_entry(
+        experiment=asked.experiment,
+        name=asked.name,
+        notes=asked.notes,
+        operator=asked.operator,
+        overrides=asked.overrides.model_dump(exclude_none=True),
+    )
+    return m.Accepted(id=entry.id, position=await daemon.submit(entry))
+
+
+@api.get("/runs")
+async def search(
+    daemon: Served,
+    request: Request,
+    *,
+    q: Words = "",
+    tag: Words = "",
+    limit: Annotated[int, Query(ge=1, le=500)] = 50,
+    offset: Annotated[int, Query(ge=0, le=10_000_000)] = 0,
+) -> m.RunPage:
+    """Recordings in whose texts every word of `q` occurs, the latest first."""
+    await _refreshed(request, daemon)
+    found = await run_in_threadpool(daemon.catalogue.search, q or None, tag or None, limit, offset)
+    rows = [m.RunRow.model_validate(run.row()) for run in found.runs]
+    return m.RunPage(total=found.total, runs=rows)
+
+
+@api.get("/runs/{run_id}")
+async def run(daemon: Served, run_id: m.RunId) -> m.RunDetail:
+    """One recording, with what its analysis says."""
+    found = await run_in_threadpool(library.detail, daemon.catalogue, run_id)
+    return m.RunDetail.model_validate(found)
+
+
+@api.patch("/runs/{run_id}")
+async def annotate(daemon: Served, run_id: m.RunId, asked: m.Annotation) -> m.RunRow:
+    """Write notes or tags beside a recording; of two who do so at once the later one stays."""
+    await run_in_threadpool(library.run_of, daemon.catalogue, run_id)
+    changed = await run_in_threadpool(daemon.catalogue.annotate, run_id, asked.notes, asked.tags)
+    return m.RunRow.model_validate(changed.row())
+
+
+@api.get("/runs/{run_id}/recording", response_class=FileResponse)
+async def recording(daemon: Served, run_id: m.RunId) -> FileResponse:
+    """The recording itself (MCAP)."""
+    path = await run_in_threadpool(library.path_of, daemon.catalogue, run_id)
+    return FileResponse(path, media_type="application/octet-stream", filename=path.name)
+
+
+@api.get("/runs/{run_id}/report", response_class=HTMLResponse)
+async def report(daemon: Served, run_id: m.RunId) -> HTMLResponse:
+    """The report of its analysis, one HTML page."""
+    path = await run_in_threadpool(library.companion, daemon.catalogue, run_id, "report")
+    headers = {"Content-Security-Policy": REPORT_POLICY}
+    return HTMLResponse(await run_in_threadpool(path.read_text), headers=headers)
+
+
+@api.get("/runs/{run_id}/analysis", response_class=JSONResponse)
+async def analysis(daemon: Served, run_id: m.RunId) -> Response:
+    """The figures of its analysis, in SI units."""
+    path = await run_in_threadpool(library.companion, daemon.catalogue, run_id, "figures")
+    return Response(await run_in_threadpool(path.read_bytes), media_type="application/json")
+
+
+@api.get("/runs/{run_id}/samples")
+async def samples(
+    daemon: Served,
+    run_id: m.RunId,
+    channels: Annotated[str, Query(min_length=1, max_length=1000)] = "load_angle_rad",
+    points: Annotated[int, Query(ge=1, le=library.MOST_POINTS)] = 2000,
+) -> m.Samples:
+    """Channels of a recording, thinned to blocks with their least and largest values."""
+    path = await run_in_threadpool(library.path_of, daemon.catalogue, run_id)
+    names = tuple(name.strip() for name in channels.split(",") if name.strip())
+    found = await run_in_threadpool(library.samples, path, names, points)
+    return m.Samples.model_validate(found)
+
+
+@api.post("/runs/{run_id}/analyse", status_code=202)
+async def analyse(daemon: Served, run_id: m.RunId) -> m.JobStarted:
+    """Analyse a recording (again): figures and report beside it."""
+    path = await run_in_threadpool(library.path_of, daemon.catalogue, run_id)
+    return m.JobStarted(job=daemon.jobs.start("analyse", run_id, path).id)
+
+
+@api.get("/jobs/{job_id}")
+async def job(daemon: Served, job_id: Annotated[str, m.Field(max_length=64)]) -> m.JobView:
+    """How a piece of work gets on."""
+    return m.JobView.model_validate(daemon.jobs.get(job_id), from_attributes=True)
+
+
+@api.get("/compare")
+async def compare(daemon: Served, a: m.RunId, b: m.RunId) -> dict[str, Any]:
+    """Has the rig changed between run `a` and run `b`: kernels, noise, parameters."""
+    paths = [
+        await run_in_threadpool(library.path_of, daemon.catalogue, run_id) for run_id in (a, b)
+    ]
+    return await daemon.jobs.compared(*paths)
+
+
+@api.post("/stop")
+async def stop(daemon: Served, asked: m.StopRequest | None = None) -> m.Stopped:
+    """Stop the rig now and hold the queue. Needs no turn, and may be asked any number of times."""
+    by = (asked.operator if asked else "") or "an operator"
+    reason = f" ({asked.reason})" if asked and asked.reason else ""
+    standing = daemon.stop(f"{by}{reason}")
+    return m.Stopped(standing=standing, state=daemon.state)
+
+
+@api.post("/arm")
+async def arm(daemon: Served, asked: m.ArmRequest) -> m.Status:
+    """Clear a fault and let the queue go on: somebody has looked at the rig."""
+    daemon.arm(asked.operator)
+    return m.Status.model_validate(daemon.status())
+
+
+@api.delete("/queue/{run_id}", status_code=204)
+async def cancel(daemon: Served, run_id: m.RunId) -> None:
+    """Take a run out of the queue."""
+    daemon.cancel(run_id)
+
+
+@api.post("/replay", status_code=202)
+async def replay(daemon: Served, asked: m.ReplayRequest) -> m.Status:
+    """Show a recording on the page, as if it were played."""
+    path = await run_in_threadpool(library.path_of, daemon.catalogue, asked.run)
+    loaded = await run_in_threadpool(load, path, allow_cut=True)
+    daemon.play_back(asked.run, loaded, asked.speed, asked.start_s)
+    return m.Status.model_validate(daemon.status())
+
+
+@api.delete("/replay", status_code=204)
+async def end_replay(daemon: Served) -> None:
+    """Show the rig again."""
+    daemon.end_play_back()
+
+
+async def _refreshed(request: Request, daemon: Daemon) -> None:
+    """Bring the catalogue up to date, but not for every request."""
+    state = request.app.state
+    now_s = time.monotonic()
+    if now_s - state.refreshed_s > REFRESH_EVERY_S:
+        state.refreshed_s = now_s
+        await daemon.refresh()
+
+
+def build_app(daemon: Daemon, bench: Bench) -> FastAPI:
+    """The application; `daemon` is opened and closed by whoever serves it."""
+    app = FastAPI(
+        title="servo-bench",
+        version=__version__,
+        description="The bench is not a safety function: a rig needs a hard-wired emergency stop.",
+        openapi_url="/openapi.json",
+        docs_url=None,
+        redoc_url=None,
+    )
+    sessions = Sessions(bench.token)
+    app.state.daemon, app.state.sessions = daemon, sessions
+    app.state.since_s, app.state.refreshed_s = time.monotonic(), -REFRESH_EVERY_S
+    app.include_router(api)
+    viewers = Viewers(daemon)
+
+    @app.websocket("/api/live")
+    async def live(socket: WebSocket) -> None:
+        await viewers.serve(socket)
+
+    @app.get("/docs", include_in_schema=False, response_class=HTMLResponse)
+    async def docs() -> str:
+        return reference(app.openapi())
+
+    @app.get("/{path:path}", include_in_schema=False)
+    async def page(path: str) -> FileResponse:
+        file, media_type = page_file(path)
+        return FileResponse(file, headers={"Cache-Control": "no-cache"}, media_type=media_type)
+
+    app.add_middleware(Guard, bench=bench, sessions=sessions)
+    _answer_errors(app)
+    return app
+
+
+def _answer_errors(app: FastAPI) -> None:
+    answers: dict[type[Exception], Callable[..., Awaitable[Response]]] = {
+        BenchError: _bench_error,
+        RequestValidationError: _invalid,
+        HTTPException: _http_error,
+        Exception: _our_fault,
+    }
+    for kind, answer in answers.items():
+        app.add_exception_handler(kind, answer)
+
+
+def _problem(request: Request, status: int, slug: str, detail: str) -> JSONResponse:
+    body = problem(status, slug, detail, request.url.path)
+    return JSONResponse(body, status, media_type=MEDIA_TYPE)
+
+
+async def _bench_error(request: Request, error: BenchError) -> Response:
+    status, slug = problem_of(error)
+    return _problem(request, status, slug, _without_folders(request, str(error)))
+
+
+async def _invalid(request: Request, error: RequestValidationError) -> Response:
+    lines = [
+        f"{'.'.join(str(part) for part in item['loc'])}: {item['msg']}" for item in error.errors()
+    ]
+    return _problem(request, 422, "invalid", "; ".join(lines[:20]))
+
+
+async def _http_error(request: Request, error: HTTPException) -> Response:
+    answer = _problem(request, error.status_code, "http", str(error.detail))
+    answer.headers.update(error.headers or {})
+    return answer
+
+
+async def _our_fault(request: Request, error: Exception) -> Response:
+    _daemon(request).log.error("unexpected", path=request.url.path, exc_info=error)
+    words = "this is a fault of the daemon, which goes on; its log says more."
+    return _problem(request, 500, "unexpected", words)
+
+
+def _without_folders(request: Request, words: str) -> str:
+    """An error's words without where on this machine the recordings are."""
+    bench = _daemon(request).bench
+    for folder in (bench.recordings, bench.state):
+        words = words.replace(f"{folder}/", "").replace(str(folder), Path(folder).name)
+    return words

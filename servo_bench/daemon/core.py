@@ -1,0 +1,486 @@
+"""The daemon's heart: one rig, one run at a time, a queue that is held until an operator arms it.
+
+Everything here runs in one event loop and never waits for a run: it starts a runner, watches the
+memory that the bus loop fills, and takes note of the runner's end. The order of business when
+anything goes wrong: the rig is stopped, the queue is held, only then is anything written.
+"""
+
+import asyncio
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from datetime import UTC, datetime
+from typing import Any
+
+from servo_bench.catalogue import Catalogue
+from servo_bench.catalogue.beside import Notes, write_notes
+from servo_bench.clock import NS_PER_S, monotonic_ns
+from servo_bench.daemon import active as runs
+from servo_bench.daemon.active import ActiveRun
+from servo_bench.daemon.aftermath import standing_sentence
+from servo_bench.daemon.config import Bench
+from servo_bench.daemon.jobs import Jobs
+from servo_bench.daemon.live import ReplaySource, Source, TableSource
+from servo_bench.daemon.log import Log
+from servo_bench.daemon.machine import PLAYING, Event, State, after
+from servo_bench.daemon.problems import ApiError
+from servo_bench.daemon.processes import wait_for_bus_processes
+from servo_bench.daemon.queue import Queue, Waiting
+from servo_bench.daemon.requests import (
+    SPARE_BYTES,
+    Overrides,
+    chosen_experiment,
+    new_file,
+    recording_bytes,
+)
+from servo_bench.daemon.runner import RunJob, RunResult
+from servo_bench.errors import BenchError, RecordingError
+from servo_bench.recording.recording import Recording
+from servo_bench.run.lock import Holder, Lock, rig_lock_path, take
+from servo_bench.run.session import STOP_GRACE_S
+
+WATCH_EVERY_S = 0.05
+BUS_SILENT_S = 0.8
+"""A bus process that has played no slot for so long is taken for gone."""
+RESTARTED = "the daemon was started: look at the rig, then arm the queue"
+
+
+class Daemon:
+    """What the web side serves; `bench` says what it may do. Open it, then close it."""
+
+    def __init__(self, bench: Bench, log: Log, now_ns: Callable[[], int] = monotonic_ns) -> None:
+        self.bench = bench
+        self.catalogue = Catalogue(bench.recordings)
+        self.queue = Queue(bench.state, bench.run.max_queue)
+        self.jobs = Jobs(bench.run.cpu, self._change)
+        self.log = log
+        self.version = 0
+        """Counts the changes that a viewer should be told at once."""
+        self.state = State.IDLE
+        self.held: str | None = RESTARTED
+        self.fault: dict[str, str] | None = None
+        self.last: dict[str, str] | None = None
+        self.reachable: bool | None = None
+        self._now_ns = now_ns
+        self._runs = bench.state / "runs"
+        self._active: ActiveRun | None = None
+        self._replay: tuple[str, float, ReplaySource] | None = None
+        self._state_lock: Lock | None = None
+        self._rig_lock: Lock | None = None
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._closing = False
+
+    # -- life ---------------------------------------------------------------------------------
+
+    async def open(self, url: str) -> None:
+        """Take the locks, find what an earlier daemon has left, begin to watch.
+
+        BusyError naming the holder where the state folder or the rig is somebody else's.
+        """
+        holder = Holder(f"the daemon of rig {self.bench.rig.name!r}", url=url)
+        self._state_lock = take(self.bench.state / "daemon.lock", holder)
+        self._runs.mkdir(exist_ok=True)
+        for left in runs.left_over(self._runs):
+            self.queue.remove(left.asked.id)  # it was about to leave the queue
+            if self._active is None and self._found(left):
+                continue
+            await self._bury(left)
+        if self._active is None:
+            self._rig_lock = take(self._rig_lock_path, holder)
+        await self.refresh()
+        self._spawn(self._watch())
+
+    async def close(self) -> None:
+        """Stop the rig, wait until it stands, end the jobs, let go of the locks."""
+        self._closing = True
+        run = self._active
+        if run is not None:
+            self.stop("the daemon's shutdown")
+            try:
+                await asyncio.wait_for(run.ended.wait(), self._stop_takes_s(run))
+            except TimeoutError:
+                self.log.error("the run did not end", run=run.asked.id, pid=run.runner_pid)
+        await self.jobs.close()
+        for task in list(self._tasks):
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        if run is not None and run.link is not None:
+            run.link.close()
+        if self._rig_lock is not None:
+            (self._rig_lock.release if self._active is None else self._rig_lock.let_go)()
+        if self._state_lock is not None:
+            self._state_lock.release()
+
+    def _found(self, left: ActiveRun) -> bool:
+        """Take up a run whose runner lives; False where none does."""
+        try:
+            runs.attach(left, lambda: self._spawn(self._finish(left)))
+        except OSError:
+            return False
+        self._active = left
+        self._fire(Event.STARTED)
+        self.log.warning("run found", run=left.asked.id)
+        return True
+
+    async def _bury(self, left: ActiveRun) -> None:
+        """Close a run whose runner died while no daemon watched, or has left its result."""
+        pid = left.runner_pid
+        if pid is not None:
+            await asyncio.to_thread(wait_for_bus_processes, pid, self._stop_takes_s(left))
+        result = left.result() or _without_a_word(left)
+        self.log.warning("run left over", run=left.asked.id, outcome=result.outcome)
+        self.last = {"id": left.asked.id, "sentence": result.sentence}
+        if result.outcome in ("faulted", "cut"):
+            self._fail(result.sentence)
+        runs.discard(left.folder)
+
+    # -- what operators do --------------------------------------------------------------------
+
+    async def submit(self, asked: Waiting) -> int:
+        """Let a run wait; how many are before it.
+
+        Raises ApiError, ConfigError, or LimitError where it cannot be played, and ApiError where
+        the disk would not hold it.
+        """
+        job = await asyncio.to_thread(self._job, asked)  # a long schedule must not hold up a stop
+        self._check_room(recording_bytes(job.experiment))
+        position = self.queue.add(asked)
+        self._change()
+        self.log.info("run submitted", run=asked.id, operator=asked.operator)
+        return position
+
+    def new_entry(
+        self,
+        *,
+        experiment: str,
+        name: str,
+        notes: str,
+        operator: str,
+        overrides: dict[str, Any],
+    ) -> Waiting:
+        """An entry for the queue under a name and an id that nothing else has."""
+        stem = experiment.removesuffix(".toml")
+        file, run_id = new_file(self.bench.recordings, name or stem)
+        return Waiting(run_id, file, name or stem, stem, operator, notes, overrides)
+
+    def cancel(self, run_id: str) -> None:
+        """Take a run out of the queue. ApiError where it plays already, or does not wait."""
+        if self._active is not None and self._active.asked.id == run_id:
+            raise ApiError(409, "playing", "that run plays already: stop it instead.")
+        if self.queue.remove(run_id) is None:
+            raise ApiError(
+                404, "not-waiting", f"no run {run_id[:40]!r} waits: it was played, or removed."
+            )
+        self._change()
+
+    def stop(self, by: str) -> bool:
+        """Stop the rig and hold the queue; whether the rig is known to stand already."""
+        run = self._active
+        if run is not None and self.state in PLAYING:
+            run.ask_stop(by)
+            self._fire(Event.STOP_ASKED)
+        self._replay = None
+        self._hold(f"stopped by {by}")
+        self.log.warning("stop", by=by, state=self.state)
+        return self.state not in PLAYING
+
+    def arm(self, by: str) -> None:
+        """Clear a fault and let the queue go on; ApiError while the rig is being stopped."""
+        if self.state is State.STOPPING:
+            raise ApiError(
+                409, "stopping", "the rig is being stopped: arm the queue when it stands."
+            )
+        self.held, self.fault = None, None
+        self._fire(Event.ARMED)
+        self.log.warning("armed", by=by)
+        self._change()
+
+    def play_back(self, run_id: str, recording: Recording, speed: float, start_s: float) -> None:
+        """Show a recording on the page. ApiError while the rig plays."""
+        if self.state in PLAYING:
+            raise ApiError(
+                409, "playing", "the rig plays, and its page shows that. Replay when it stands."
+            )
+        self._replay = (run_id, speed, ReplaySource(recording, speed, start_s, self._now_ns))
+        self._change()
+
+    def end_play_back(self) -> None:
+        """Show nothing, or the rig again."""
+        self._replay = None
+        self._change()
+
+    # -- what viewers see ---------------------------------------------------------------------
+
+    def source(self) -> Source | None:
+        """The rows that the page shows now."""
+        run = self._active
+        if run is not None and run.link is not None and run.link.table is not None:
+            return self._table_source(run)
+        if self._replay is not None:
+            return self._replay[2]
+        return None
+
+    def status(self) -> dict[str, Any]:
+        """Everything that can change, as the API's Status."""
+        run, replay = self._active, self._replay
+        return {
+            "state": self.state.value,
+            "held": self.held is not None,
+            "held_reason": self.held or "",
+            "holder": self._holder(),
+            "run": runs.status_table(run) if run is not None else None,
+            "queue": [
+                {key: getattr(entry, key) for key in ("id", "name", "experiment", "operator")}
+                for entry in self.queue
+            ],
+            "limits": self.bench.rig.limits.model_dump(),
+            "fault": self.fault,
+            "bus_alive": run is None or not run.silent,
+            "last": self.last,
+            "replay": {"run": replay[0], "speed": replay[1]} if replay else None,
+        }
+
+    def _holder(self) -> str:
+        run = self._active
+        if run is None:
+            return ""
+        return f"{run.asked.operator}, with {run.asked.name} ({run.asked.experiment})"
+
+    def _table_source(self, run: ActiveRun) -> TableSource | None:
+        link = run.link
+        if link is None or link.table is None:
+            return None
+        if run.source is None:
+            constant = run.job.rig.nominal.torque_constant_nm_per_a
+            run.source = TableSource(link.table, constant)
+        return run.source
+
+    # -- how it goes on -----------------------------------------------------------------------
+
+    async def _watch(self) -> None:
+        """Look at the run, and start the next one, for as long as the daemon lives."""
+        while True:
+            await self._look()
+            await asyncio.sleep(WATCH_EVERY_S)
+
+    async def _look(self) -> None:
+        run = self._active
+        if run is not None:
+            self._look_at(run)
+        elif self.state is State.IDLE and self.held is None and not self._closing:
+            waiting = self.queue.first()
+            if waiting is not None:
+                await self._start(waiting)
+        if self._replay is not None and self._replay[2].over:
+            self.end_play_back()
+
+    def _look_at(self, run: ActiveRun) -> None:
+        table = run.link.table if run.link is not None else None
+        if table is None:
+            return
+        slot = table.slot
+        now_ns = self._now_ns()
+        if slot != run.slot:
+            run.slot, run.slot_since_ns = slot, now_ns
+            run.silent = False
+        if slot > 0:
+            self.reachable = True
+            self._fire(Event.MOVED)
+        if table.stop_asked or slot >= run.slots - 1:
+            self._fire(Event.STOP_ASKED)
+        patience_ns = max(BUS_SILENT_S, 3.0 * run.job.experiment.period_s) * NS_PER_S
+        if self.state is State.RUNNING and now_ns - run.slot_since_ns > patience_ns:
+            run.silent = True
+            self.log.error("the bus process is silent", run=run.asked.id, slot=slot)
+            self.stop("the silence of the bus process")
+
+    async def _start(self, asked: Waiting) -> None:
+        """Begin the run whose turn it is; what cannot begin is a fault, and the queue is held."""
+        try:
+            job = await asyncio.to_thread(self._job, asked)
+            self._check_room(recording_bytes(job.experiment))
+            run = await asyncio.to_thread(runs.prepare, self._runs / asked.id, asked, job)
+            if self.held is not None or self._closing or self.queue.remove(asked.id) is None:
+                runs.discard(run.folder)  # stopped, or taken out of the queue, meanwhile
+                return
+            write_notes(job.out, Notes(asked.notes, (), asked.operator))
+            self._active = run
+            self._replay = None
+            self._fire(Event.STARTED)
+            if self._rig_lock is None:
+                self._rig_lock = take(self._rig_lock_path, Holder(self._holder()))
+            await runs.launch(
+                run, self._rig_lock.descriptor, lambda: self._spawn(self._finish(run))
+            )
+            self.log.info("run started", run=asked.id, operator=asked.operator)
+        except (BenchError, OSError) as error:
+            self._active = None
+            runs.discard(self._runs / asked.id)
+            self._fire(Event.STARTED)
+            self._drop(asked)
+            self._fail(f"{asked.name} could not begin: {error}")
+
+    def _drop(self, asked: Waiting) -> None:
+        """Take a run that cannot begin out of the queue, if the disk lets it."""
+        try:
+            self.queue.remove(asked.id)
+        except RecordingError as error:
+            self.log.error("queue", error=str(error))
+
+    def _job(self, asked: Waiting) -> RunJob:
+        config = self.bench.run
+        return RunJob(
+            id=asked.id,
+            experiment=chosen_experiment(
+                self.bench, asked.experiment, Overrides.model_validate(asked.overrides)
+            ),
+            rig=self.bench.rig,
+            out=self.bench.recordings / asked.file,
+            simulated=self.bench.simulated,
+            priority=config.priority,
+            cpu=config.cpu,
+            stop_alone_s=config.without_daemon_s if config.without_daemon == "stop" else None,
+            facts=runs.run_facts(asked),
+        )
+
+    async def _finish(self, run: ActiveRun) -> None:
+        """The runner is gone: find out how the run ended, and go on or be held."""
+        result = run.result()
+        pid = run.runner_pid
+        if result is None and pid is not None:
+            self._hold("the run's process died")
+            self._fire(Event.STOP_ASKED)
+            await asyncio.to_thread(wait_for_bus_processes, pid, self._stop_takes_s(run))
+            result = run.result()
+        result = result or _without_a_word(run)
+        if result.outcome in ("faulted", "cut"):
+            run.silent = True
+            self._hold("a fault")
+            self._fire(Event.STOP_ASKED)
+            result = await self._with_standing(run, result)
+        if run.process is not None:
+            await run.process.wait()
+        self._let_go_of(run)
+        self.last = {"id": run.asked.id, "sentence": result.sentence}
+        self.log.info("run ended", run=run.asked.id, **asdict(result))
+        await self.refresh()
+        runs.discard(run.folder)
+        await self._conclude(run, result)
+        run.ended.set()
+
+    async def _with_standing(self, run: ActiveRun, result: RunResult) -> RunResult:
+        """The result with what the drive itself says after a run that ended badly."""
+        if run.job.simulated or result.error not in ("", "WireError"):
+            return result
+        self.reachable = False
+        words = await asyncio.to_thread(standing_sentence, run.job.rig, run.job.experiment.period_s)
+        return replace(result, sentence=f"{result.sentence} {words}".strip())
+
+    def _let_go_of(self, run: ActiveRun) -> None:
+        """Close the link; the rig's lock that came with it stays ours."""
+        if run.link is None:
+            return
+        if self._rig_lock is None and run.link.lock_descriptor is not None:
+            self._rig_lock = Lock(self._rig_lock_path, run.link.lock_descriptor)
+            run.link.lock_descriptor = None
+        run.source = None
+        run.link.close()
+        run.link = None
+
+    async def _conclude(self, run: ActiveRun, result: RunResult) -> None:
+        self._active = None
+        if result.outcome in ("faulted", "cut"):
+            self._fail(result.sentence)
+            return
+        if result.outcome != "complete":
+            self._hold(result.sentence)
+        if result.outcome == "nothing":
+            self._fire(Event.NOTHING)
+            return
+        self._fire(Event.ENDED)
+        if self.bench.run.analyse and not self._closing:
+            self._spawn(self._analyse(run))
+        else:
+            self._fire(Event.ANALYSED)
+
+    async def _analyse(self, run: ActiveRun) -> None:
+        job = await self.jobs.ended(self.jobs.start("analyse", run.asked.id, run.job.out))
+        if self.last is not None and self.last["id"] == run.asked.id:
+            sentence = f"{self.last['sentence']} Analysis: {job.sentence}"
+            self.last = {"id": run.asked.id, "sentence": sentence}
+        await self.refresh()
+        self._fire(Event.ANALYSED)
+
+    def _fail(self, sentence: str) -> None:
+        at_utc = datetime.now(UTC).isoformat(timespec="seconds")
+        sentence = sentence.replace(f"{self.bench.recordings}/", "")
+        self.fault = {"sentence": sentence, "at_utc": at_utc}
+        self._hold("a fault")
+        if self.state is State.IDLE:
+            self._fire(Event.STARTED)  # it is told of a run that nobody saw begin
+        self._fire(Event.FAILED)
+        self.log.error("fault", sentence=sentence)
+
+    def _hold(self, reason: str) -> None:
+        self.held = reason
+        self._change()
+
+    def _fire(self, event: Event) -> None:
+        state = after(self.state, event)
+        if state is not self.state:
+            self.log.info("state", before=self.state, after=state, event_text=event.value)
+            self.state = state
+            self._change()
+
+    def _change(self) -> None:
+        self.version += 1
+
+    def _check_room(self, needed: int) -> None:
+        free = shutil.disk_usage(self.bench.recordings).free
+        if free < needed + SPARE_BYTES:
+            raise ApiError(
+                507,
+                "disk-full",
+                f"the recording may need {needed / 1e6:.1f} MB, and {free / 1e6:.1f} MB are free "
+                f"of which {SPARE_BYTES / 1e6:.0f} MB are kept for the rest. Make room first.",
+            )
+
+    async def refresh(self) -> None:
+        """Bring the catalogue up to date; where that cannot be (a full disk) it stays as it was."""
+        try:
+            await asyncio.to_thread(self.catalogue.refresh)
+        except BenchError as error:
+            self.log.error("catalogue", error=str(error))
+
+    @property
+    def _rig_lock_path(self) -> Any:
+        if self.bench.simulated:
+            return self.bench.state / "rig.lock"  # each run has a bus of its own
+        return rig_lock_path(self.bench.rig.bus)
+
+    @staticmethod
+    def _stop_takes_s(run: ActiveRun) -> float:
+        drive = run.job.rig.drive
+        return 2.0 * STOP_GRACE_S + drive.enable_timeout_s + drive.stop_timeout_s
+
+    def _spawn(self, work: Any) -> None:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._over)
+
+    def _over(self, task: "asyncio.Task[None]") -> None:
+        """A task of ours has ended; one that failed is a fault of the daemon, and stops the rig."""
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self.log.error("unexpected", exc_info=error)
+            self.stop("a fault of the daemon")
+
+
+def _without_a_word(run: ActiveRun) -> RunResult:
+    """What is said of a run whose runner was killed."""
+    words = run.last_words()
+    left = "what it recorded until then is kept" if run.job.out.exists() else "nothing was recorded"
+    said = f" It last said: {words}." if words else ""
+    return RunResult(
+        "cut", f"the run's process was killed; the bus process stopped the rig, and {left}.{said}"
+    )

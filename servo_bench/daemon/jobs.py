@@ -1,0 +1,137 @@
+"""Work on recordings in processes of their own, one at a time, as idle as the system allows.
+
+    python -m servo_bench.daemon.work KIND CPUS RECORDING...
+
+The bus loop must not feel them: they are nice, single-threaded, and keep off the loop's CPU.
+"""
+
+import asyncio
+import json
+import os
+import secrets
+import sys
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from servo_bench.daemon.problems import ApiError
+from servo_bench.errors import FitError
+
+KEPT = 100
+WAITING = 20
+Kind = Literal["analyse"]
+JobState = Literal["waiting", "running", "done", "failed"]
+SINGLE = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One piece of work; `sentence` says how it ended."""
+
+    id: str
+    kind: Kind
+    run: str
+    state: JobState = "waiting"
+    sentence: str = ""
+
+
+class Jobs:
+    """The jobs of this daemon's life; the oldest are forgotten."""
+
+    def __init__(self, loop_cpu: int | None, changed: Callable[[], None] = lambda: None) -> None:
+        self._changed = changed
+        self._jobs: OrderedDict[str, Job] = OrderedDict()
+        self._turn = asyncio.Lock()
+        self._tasks: dict[str, asyncio.Task[Job]] = {}
+        self._cpus = (os.sched_getaffinity(0) - {loop_cpu}) or os.sched_getaffinity(0)
+
+    def get(self, job_id: str) -> Job:
+        """The job; ApiError where there is none, or no longer."""
+        if job_id not in self._jobs:
+            raise ApiError(
+                404,
+                "no-such-job",
+                f"there is no job {job_id[:40]!r}: the last {KEPT} since the daemon's start are "
+                "known. What it made is beside the recording.",
+            )
+        return self._jobs[job_id]
+
+    def start(self, kind: Kind, run: str, recording: Path) -> Job:
+        """Begin when it is its turn; one that waits or works already is the same job.
+
+        ApiError where too many wait.
+        """
+        open_jobs = [self._jobs[job_id] for job_id in self._tasks]
+        same = next((job for job in open_jobs if (job.kind, job.run) == (kind, run)), None)
+        if same is not None:
+            return same
+        if len(open_jobs) > WAITING:
+            raise ApiError(
+                429, "many-jobs", f"{WAITING} jobs wait already. Ask again when some are done."
+            )
+        job = self._keep(Job(secrets.token_hex(8), kind, run))
+        task = asyncio.create_task(self._run(job, recording))
+        self._tasks[job.id] = task
+        task.add_done_callback(lambda _: self._tasks.pop(job.id))
+        return job
+
+    async def ended(self, job: Job) -> Job:
+        """The job when it is over."""
+        task = self._tasks.get(job.id)
+        if task is not None:
+            await asyncio.wait([task])
+        return self._jobs[job.id]
+
+    async def close(self) -> None:
+        """End what works."""
+        tasks = list(self._tasks.values())
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def compared(self, before: Path, after: Path) -> dict[str, Any]:
+        """Two recordings side by side; FitError with the reason where that cannot be done."""
+        async with self._turn:
+            status, words = await self._work("compare", before, after)
+        if status != 0:
+            raise FitError(words)
+        table: dict[str, Any] = json.loads(words)
+        return table
+
+    async def _run(self, job: Job, recording: Path) -> Job:
+        async with self._turn:
+            job = self._keep(replace(job, state="running"))
+            status, words = await self._work(job.kind, recording)
+            state: JobState = "done" if status == 0 else "failed"
+            return self._keep(replace(job, state=state, sentence=words))
+
+    async def _work(self, kind: str, *recordings: Path) -> tuple[int, str]:
+        """Exit status and last line of a piece of work; killed where nobody waits any more."""
+        cpus = ",".join(str(cpu) for cpu in sorted(self._cpus))
+        process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "servo_bench.daemon.work", kind, cpus),
+            *(str(recording) for recording in recordings),
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT,
+            env={**os.environ, **SINGLE},
+            start_new_session=True,
+        )
+        try:
+            said, _ = await process.communicate()
+        finally:
+            if process.returncode is None:
+                process.kill()
+                await process.wait()
+        status = process.returncode or 0
+        lines = said.decode(errors="replace").strip().splitlines()
+        return status, lines[-1] if lines else f"it ended with status {status}"
+
+    def _keep(self, job: Job) -> Job:
+        self._jobs[job.id] = job
+        while len(self._jobs) > KEPT:
+            self._jobs.popitem(last=False)
+        self._changed()
+        return job

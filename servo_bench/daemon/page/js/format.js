@@ -1,0 +1,76 @@
+// Numbers for people: SI comes in, degrees, microseconds and percent go out, always with the unit.
+
+export const NOTHING = "–";
+const DEGREES = 180 / Math.PI;
+
+export const degrees = (rad) => rad * DEGREES;
+
+function known(value) {
+  return typeof value === "number" && Number.isFinite(value);
+}
+
+/** `digits` significant digits without an exponent where that is readable; a true minus sign. */
+export function number(value, digits = 4) {
+  if (!known(value)) return NOTHING;
+  if (value === 0) return "0";
+  const size = Math.abs(value);
+  const text =
+    size >= 1e6 || size < 1e-4
+      ? value.toExponential(digits - 1)
+      : value.toLocaleString("en", { maximumSignificantDigits: digits, useGrouping: false });
+  return text.replaceAll("-", "−");
+}
+
+export function quantity(value, unit, digits = 4) {
+  return known(value) ? `${number(value, digits)} ${unit}`.trim() : NOTHING;
+}
+
+export const angle = (rad) => quantity(known(rad) ? degrees(rad) : null, "°");
+export const velocity = (rad_s) => quantity(known(rad_s) ? degrees(rad_s) : null, "°/s");
+
+/** 95 s as "1 min 35 s". */
+export function duration(seconds) {
+  if (!known(seconds)) return NOTHING;
+  if (seconds < 60) return quantity(seconds, "s", seconds < 10 ? 2 : 3);
+  const whole = Math.round(seconds);
+  const [hours, minutes] = [Math.floor(whole / 3600), Math.floor((whole % 3600) / 60)];
+  return hours ? `${hours} h ${minutes} min` : `${minutes} min ${whole % 60} s`;
+}
+
+/** A time that is small: µs or ms, whichever reads better. */
+export function lateness(seconds) {
+  if (!known(seconds)) return NOTHING;
+  return Math.abs(seconds) < 1e-3 ? quantity(seconds * 1e6, "µs", 3) : quantity(seconds * 1e3, "ms", 3);
+}
+
+export function bytes(count) {
+  if (!known(count)) return NOTHING;
+  return count < 1e6 ? quantity(count / 1e3, "kB", 3) : quantity(count / 1e6, "MB", 3);
+}
+
+/** Local date and time of an ISO 8601 text; the text itself where it is no time. */
+export function when(utc) {
+  const date = new Date(utc);
+  if (Number.isNaN(date.getTime())) return utc || NOTHING;
+  const two = (part) => String(part).padStart(2, "0");
+  const day = `${date.getFullYear()}-${two(date.getMonth() + 1)}-${two(date.getDate())}`;
+  return `${day} ${two(date.getHours())}:${two(date.getMinutes())}:${two(date.getSeconds())}`;
+}
+
+const UNITS = [
+  ["_rad_s", "°/s", degrees],
+  ["_rad", "°", degrees],
+  ["_percent", "%", (value) => value],
+  ["_nm", "N m", (value) => value],
+  ["_s", "ms", (value) => value * 1e3],
+];
+
+/** Name and value of a figure as people read it, from its name in the files: unit suffix last. */
+export function figure(name, value) {
+  const words = (text) => text.replaceAll("_", " ");
+  if (!known(value)) return [words(name), value === null || value === undefined ? NOTHING : String(value)];
+  for (const [suffix, unit, convert] of UNITS) {
+    if (name.endsWith(suffix)) return [words(name.slice(0, -suffix.length)), quantity(convert(value), unit)];
+  }
+  return [words(name), number(value, 6)];
+}

@@ -1,0 +1,28 @@
+// The daemon asks for its token.
+
+import { post } from "../api.js";
+import { field, h, say } from "../dom.js";
+
+export function loginView() {
+  const token = h("input", { type: "password", autocomplete: "current-password", required: true });
+  const wrong = h("p", { class: "wrong", role: "alert" });
+  const submit = async (event) => {
+    event.preventDefault();
+    try {
+      await post("/login", { token: token.value });
+      location.reload();
+    } catch (error) {
+      say(wrong, error.message);
+    }
+  };
+  const element = h(
+    "form",
+    { class: "card narrow", onsubmit: submit },
+    h("h1", {}, "Log in"),
+    h("p", {}, "This daemon asks for its token. It stands in the file that network.token_file of its configuration names."),
+    field("Token", token),
+    h("button", { type: "submit", class: "go" }, "Log in"),
+    wrong,
+  );
+  return { title: "Log in", element };
+}

@@ -1,0 +1,76 @@
+"""One piece of work on recordings, as a process: its last line of output says how it ended.
+
+    python -m servo_bench.daemon.work analyse CPUS RECORDING     figures and report beside it
+    python -m servo_bench.daemon.work compare CPUS BEFORE AFTER  what has changed, as JSON
+
+CPUS are the CPUs that it may use, with commas. It is as nice as can be.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from servo_bench.catalogue.beside import beside, replace, replace_json
+from servo_bench.errors import BenchError
+from servo_bench.kernels.analysis import Analysis
+from servo_bench.kernels.analysis import analyse as analyse_recording
+from servo_bench.recording.mcap_file import load
+from servo_bench.replay.compare import compare as compare_recordings
+from servo_bench.report.html import analysis_report
+from servo_bench.report.wording import percent
+
+NICENESS = 19
+
+
+def analyse(path: Path) -> str:
+    """Write report and figures beside a recording; the main figure in a sentence."""
+    recording = load(path, allow_cut=True)
+    analysis = analyse_recording(recording)
+    places = beside(path)
+    replace(places.report, analysis_report(analysis, recording).encode())
+    replace_json(places.figures, {**analysis.numbers(), **_curves(analysis)})
+    validation = analysis.validation
+    fresh = validation.velocity.vaf_order3_percent if validation else None
+    return f"kernels to order 3 predict {percent(fresh)} of the held-out velocity."
+
+
+def _curves(analysis: Analysis) -> dict[str, Any]:
+    """The kernels' coefficients, rad/s per chip: orders 1, shape (M,), and 2, shape (M, M)."""
+    kernels = analysis.kernels
+    return {
+        "lags_s": kernels.lags_s.tolist(),
+        "c1_rad_s": kernels.c1.tolist(),
+        "c2_rad_s": kernels.c2.tolist(),
+    }
+
+
+def compare(before: Path, after: Path) -> str:
+    """Figures and sentences of the comparison, one line of JSON."""
+    comparison = compare_recordings(load(before, allow_cut=True), load(after, allow_cut=True))
+    table = {**comparison.numbers(), "sentences": comparison.sentences()}
+    return json.dumps(table, allow_nan=False)
+
+
+WORK: Mapping[str, Callable[..., str]] = {"analyse": analyse, "compare": compare}
+
+
+def main(kind: str, cpus: str, *recordings: str) -> int:
+    """Do the work and say its sentence; 0 done, 1 with the reason where it cannot be done."""
+    os.nice(NICENESS)
+    os.sched_setaffinity(0, {int(cpu) for cpu in cpus.split(",")})
+    paths = [Path(recording) for recording in recordings]
+    try:
+        sentence = WORK[kind](*paths)
+    except BenchError as error:
+        words = str(error).replace(f"{paths[0].parent}/", "")
+        sys.stdout.write(" ".join(words.split()) + "\n")
+        return 1
+    sys.stdout.write(f"{sentence}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

@@ -1,0 +1,310 @@
+"""The page as an operator uses it: Chromium, the real daemon, the software rig.
+
+    pytest -n 0 tests/page/browser_page.py        (.ci/browser does that)
+
+Screenshots are kept in tests/page/output.
+"""
+
+import signal
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.daemon_process import Daemon, bus_loop_of, kill, moves, runner_of, stands, write_bench
+from tests.page.conftest import Screen
+
+VIEWS = ("live", "start", "runs", "compare")
+HOSTILE = '<img src=x onerror="window.hacked=1"><script>hacked=1</script>\'"&amp;\u202e'
+POINTS_SEEN = """() => [...document.querySelectorAll(".plot canvas")].map((canvas) => {
+  const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+  let sum = 0;
+  for (let at = 0; at < data.length; at += 4) sum = (sum * 31 + data[at] + data[at + 3]) >>> 0;
+  return sum;
+})"""
+INTERVALS = """(count) => new Promise((done) => {
+  const times = [];
+  const next = (now) => {
+    times.push(now);
+    times.length <= count ? requestAnimationFrame(next) : done(times);
+  };
+  requestAnimationFrame(next);
+})"""
+WATCH_GONE = """() => {
+  window.spoken = performance.now();
+  const look = () => {
+    const gone = document.querySelector('[data-banner="gone"]');
+    if (gone) window.silence_ms = performance.now() - window.spoken;
+    else setTimeout(look, 5);
+  };
+  look();
+}"""
+
+
+def test_a_run_from_the_first_field_to_the_stop(daemon: Daemon, screen: Screen) -> None:
+    page = screen.open(daemon)
+    screen.shoot("live-idle")
+    page.get_by_role("link", name="Start a run").click()
+    page.get_by_label("Experiment").select_option("long")
+    page.get_by_label("Amplitude").fill("1e9")
+    page.get_by_label("Operator").fill("Ada")
+    page.get_by_role("button", name="Check, then confirm").click()
+    expect(page.get_by_text("the rig's limit.")).to_be_visible()
+    screen.shoot("start-wrong-field")
+    page.get_by_label("Amplitude").fill("45")
+    page.get_by_role("button", name="Check, then confirm").click()
+    sheet = page.get_by_role("dialog")
+    expect(sheet).to_contain_text("±45 °/s")
+    expect(sheet).to_contain_text("from where it stands")
+    screen.shoot("start-confirm")
+    sheet.get_by_role("button", name="Submit the run").click()
+    expect(sheet).to_contain_text("Tick the box first")
+    sheet.get_by_label("I stand at the rig").check()
+    sheet.get_by_role("button", name="Submit the run").click()
+    page.get_by_role("button", name="Arm the queue").click()
+    screen.shoot("arm")
+    page.get_by_role("button", name="Arm: the rig is clear").click()
+    expect(page.locator("#state")).to_have_text("Running")
+    before = page.evaluate(POINTS_SEEN)
+    page.wait_for_function(
+        f"(before) => ({POINTS_SEEN})().every((sum, at) => sum !== before[at])", arg=before
+    )
+    page.wait_for_function("() => document.querySelectorAll('progress')[0].value > 0.01")
+    screen.shoot("live-running")
+
+    page.reload()
+    expect(page.locator("#state")).to_have_text("Running")
+    fresh = page.evaluate(POINTS_SEEN)
+    page.wait_for_function(
+        f"(before) => ({POINTS_SEEN})().every((sum, at) => sum !== before[at])", arg=fresh
+    )
+    screen.shoot("live-reloaded")
+    assert daemon.status()["run"]["operator"] == "Ada"
+
+    page.keyboard.press("Space")
+    expect(page.locator("#state")).to_have_text("Idle")
+    daemon.wait(stands)
+    assert daemon.status()["held"]
+    screen.shoot("live-stopped")
+    page.get_by_role("link", name="Runs", exact=True).click()
+    expect(page.locator("tbody tr")).to_contain_text(["stopped"])
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("way", ["Escape", "click"])
+def test_the_stop_works_from_every_view_with_a_question_open(
+    daemon: Daemon, screen: Screen, view: str, way: str
+) -> None:
+    page = screen.open(daemon, view)
+    daemon.play("long")
+    if view == "start":
+        page.get_by_label("Operator").fill("Ada")
+        page.get_by_role("button", name="Check, then confirm").click()
+        expect(page.get_by_role("dialog")).to_be_visible()
+    if way == "click":
+        page.locator("#stop").click()
+    else:
+        page.keyboard.press("Escape")
+    daemon.wait(lambda status: status["held"] and status["state"] != "running")
+    daemon.wait(stands)
+
+
+def test_the_stop_works_without_the_websocket(daemon: Daemon, screen: Screen) -> None:
+    screen.page.route_web_socket("**/api/live", lambda _: None)
+    daemon.play("long")
+    screen.page.goto(f"{daemon.url}/#/live")
+    expect(screen.page.locator('[data-banner="gone"]')).to_be_visible()
+    screen.page.keyboard.press("Space")
+    daemon.wait(stands)
+    expect(screen.page.locator('[data-banner="stop"]')).to_contain_text("Stop")
+
+
+def test_a_space_is_written_where_text_is_written(daemon: Daemon, screen: Screen) -> None:
+    page = screen.open(daemon, "start")
+    run_id = daemon.play("long")
+    expect(page.locator("#state")).to_have_text("Running")
+    page.get_by_label("Notes").click()
+    page.keyboard.type("two words")
+    expect(page.get_by_label("Notes")).to_have_value("two words")
+    assert moves(daemon.status(), run_id)
+
+
+def test_a_fault_is_told_and_cleared_by_an_operator(daemon: Daemon, screen: Screen) -> None:
+    page = screen.open(daemon)
+    run_id = daemon.play("long")
+    kill(bus_loop_of(runner_of(daemon.bench, run_id)))
+    expect(page.locator("#state")).to_have_text("Fault")
+    expect(page.locator('[data-banner="fault"]')).to_be_visible()
+    screen.shoot("fault")
+    page.get_by_role("button", name="Arm the queue").click()
+    page.get_by_label("Operator").fill("Ada")
+    page.get_by_role("button", name="Arm: the rig is clear").click()
+    expect(page.locator("#state")).to_have_text("Idle")
+    expect(page.locator('[data-banner="fault"]')).to_have_count(0)
+
+
+def test_a_bus_process_that_stands_still_is_told(daemon: Daemon, screen: Screen) -> None:
+    page = screen.open(daemon)
+    run_id = daemon.play("long")
+    loop = bus_loop_of(runner_of(daemon.bench, run_id))
+    kill(loop, signal.SIGSTOP)
+    try:
+        page.wait_for_selector('[data-banner="bus"], [data-banner="fault"]')
+        screen.shoot("bus-gone")
+    finally:
+        kill(loop, signal.SIGKILL)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_daemon_that_is_gone_is_told_within_a_second(
+    daemon: Daemon, screen: Screen, number: signal.Signals
+) -> None:
+    page = screen.open(daemon)
+    page.evaluate(WATCH_GONE)
+    kill(daemon.process.pid, number)
+    page.wait_for_function("() => window.silence_ms !== undefined")
+    silence_ms = page.evaluate("() => window.silence_ms")
+    screen.shoot(f"gone-{number.name.lower()}")
+    assert silence_ms < 1000.0
+    if number is signal.SIGSTOP:
+        kill(daemon.process.pid, signal.SIGCONT)
+        expect(page.locator('[data-banner="gone"]')).to_have_count(0)
+    else:
+        page.keyboard.press("Escape")
+        expect(page.locator('[data-banner="stop"]')).to_contain_text("NOT DELIVERED")
+
+
+def test_hostile_names_are_only_text(daemon: Daemon, screen: Screen) -> None:
+    page = screen.open(daemon)
+    plain = HOSTILE.rstrip("\u202e")
+    run_id = daemon.submit("short", operator=plain[:64], name=plain, notes=HOSTILE)
+    expect(page.locator(".queue-name")).to_have_text(plain)
+    daemon.arm()
+    daemon.wait(lambda status: stands(status) and not status["queue"])
+    daemon.client.patch(f"/api/runs/{run_id}", json={"tags": [plain[:64]]}).raise_for_status()
+    for view in (
+        *VIEWS,
+        f"runs/{run_id}",
+        f"replay/{run_id}",
+        f"runs/{plain}",
+        "%",
+        f"compare?a={plain}",
+    ):
+        page.goto(f"{daemon.url}/#/{view}")
+        page.wait_for_load_state("networkidle") if view == "start" else page.wait_for_timeout(200)
+        assert page.evaluate("() => window.hacked") is None
+        assert page.locator("img, main script, iframe").count() == 0
+    screen.open(daemon, "runs")
+    expect(page.locator("tbody")).to_contain_text(plain)
+    screen.shoot("hostile-names")
+
+
+def test_recordings_are_found_read_noted_replayed_and_compared(
+    library: Daemon, screen: Screen
+) -> None:
+    page = screen.open(library, "runs")
+    expect(page.locator("tbody tr").nth(1)).to_be_visible()
+    screen.shoot("runs")
+    page.get_by_label("Search").fill("no run has these words")
+    expect(page.get_by_text("No run is found.")).to_be_visible()
+    page.get_by_label("Search").fill("")
+    analysable = _analysed(library)
+    page.goto(f"{library.url}/#/runs/{analysable[0]}")
+    page.get_by_label("Tags").fill("reference, looked at")
+    page.get_by_role("textbox", name="Notes").fill("A note.\nOf two lines.")
+    page.get_by_role("button", name="Save").click()
+    expect(page.get_by_text("Saved.")).to_be_visible()
+    assert "looked at" in library.client.get(f"/api/runs/{analysable[0]}").json()["tags"]
+    expect(page.get_by_label("Kernel of order 2")).to_be_visible()
+    expect(page.locator(".chart")).to_have_count(5)
+    screen.page.set_viewport_size({"width": 1024, "height": 2600})
+    screen.shoot("run")
+    screen.page.set_viewport_size({"width": 1024, "height": 768})
+
+    page.goto(f"{library.url}/#/replay/{analysable[0]}")
+    expect(page.get_by_role("button", name="Pause")).to_be_visible()
+    before = page.evaluate(POINTS_SEEN)
+    page.wait_for_function(f"(before) => ({POINTS_SEEN})()[0] !== before[0]", arg=before)
+    page.get_by_label("Speed").select_option("10")
+    seek = page.get_by_label("Position in the recording")
+    seek.fill("20")
+    page.wait_for_function("() => Number(document.querySelector('.replay input').value) > 22")
+    screen.shoot("replay")
+    page.get_by_role("button", name="Pause").click()
+    page.get_by_role("button", name="Play", exact=True).click()
+    expect(page.get_by_role("button", name="Pause")).to_be_visible()
+    page.get_by_role("button", name="End replay").click()
+    library.wait(lambda status: status["replay"] is None)
+
+    page.goto(f"{library.url}/#/compare?a={analysable[0]}&b={analysable[1]}")
+    expect(page.locator(".card h2").first).to_be_visible(timeout=200_000)
+    screen.page.set_viewport_size({"width": 1024, "height": 1600})
+    screen.shoot("compare")
+
+
+def _analysed(daemon: Daemon) -> list[str]:
+    """Two runs that could be analysed, by the daemon itself."""
+    found = []
+    for row in daemon.rows():
+        job = daemon.client.post(f"/api/runs/{row['id']}/analyse").json()["job"]
+        said: dict[str, Any] = {"state": "waiting"}
+        while said["state"] in ("waiting", "running"):
+            said = daemon.client.get(f"/api/jobs/{job}").json()
+        found += [row["id"]] if said["state"] == "done" else []
+        if len(found) == 2:
+            return found
+    raise AssertionError("fewer than two reference recordings can be analysed")
+
+
+@pytest.mark.parametrize("size", [(1024, 768), (768, 1024)])
+def test_it_fits_a_tablet_and_the_stop_is_always_in_view(
+    library: Daemon, screen: Screen, size: tuple[int, int]
+) -> None:
+    screen.page.set_viewport_size({"width": size[0], "height": size[1]})
+    for view in (*VIEWS, f"runs/{library.rows()[0]['id']}"):
+        page = screen.open(library, view)
+        page.wait_for_timeout(300)
+        page.evaluate("() => scrollTo(0, document.body.scrollHeight)")
+        box = page.locator("#stop").bounding_box()
+        assert box is not None
+        assert box["y"] >= 0
+        assert box["y"] + box["height"] <= size[1]
+        assert box["x"] + box["width"] <= size[0]
+        assert page.evaluate("() => document.documentElement.scrollWidth") <= size[0]
+        page.evaluate("() => scrollTo(0, 0)")
+        screen.shoot(f"{view.split('/')[0]}-{size[0]}x{size[1]}{'-one' if '/' in view else ''}")
+
+
+def test_sixty_frames_a_second_at_a_kilohertz(tmp_path: Path, screen: Screen) -> None:
+    """Measured, printed and kept; a shared machine's display pace is no verdict on the page."""
+    bench = write_bench(tmp_path, seconds={"long": 60.0}, period_s=0.001)
+    with Daemon(bench) as daemon:
+        page = screen.open(daemon)
+        idle = page.evaluate(INTERVALS, 120)
+        daemon.play("long")
+        expect(page.locator("#state")).to_have_text("Running")
+        page.wait_for_timeout(4000)
+        times = page.evaluate(INTERVALS, 600)
+        heap = page.evaluate("() => performance.memory?.usedJSHeapSize ?? 0")
+        screen.shoot("live-1khz")
+    words = "\n".join(
+        f"{name}: {paced(series)}" for name, series in (("idle", idle), ("1 kHz", times))
+    )
+    (Path(__file__).parent / "output" / "frames.txt").write_text(
+        f"{words}\nheap {heap / 1e6:.1f} MB\n"
+    )
+    assert len(times) == 601
+
+
+def paced(times_ms: list[float]) -> str:
+    """Frames a second, and the intervals between them."""
+    steps = sorted(after - before for before, after in pairwise(times_ms))
+    mean = sum(steps) / len(steps)
+    over = sum(step > 25.0 for step in steps) / len(steps)
+    return (
+        f"{1000 / mean:.1f} frames/s; interval median {steps[len(steps) // 2]:.1f}, "
+        f"p95 {steps[int(0.95 * len(steps))]:.1f}, longest {steps[-1]:.1f} ms; "
+        f"{100 * over:.1f} % over 25 ms"
+    )

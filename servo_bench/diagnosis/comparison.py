@@ -9,7 +9,7 @@ A torque that a drive tells is its current times a K_T in its own memory: it is 
 simulated current times the K_T that the model had before the fit, and tells nothing of torque.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -40,7 +40,12 @@ EFFORTS = ("current_a", "motor_torque_nm", "torque_nm")
 
 
 class Signal(NamedTuple):
-    """One signal that is compared. `factor` turns what is simulated into the channel's unit."""
+    """One signal that is compared. `factor` turns what is simulated into the channel's unit.
+
+    An increment goes from the mean of `stride` points to the next; `less` is a channel that is
+    subtracted (the twist is the load's angle less the motor's). Of a level nobody knows the zero:
+    its error is taken from its median.
+    """
 
     name: str
     unit: str
@@ -49,6 +54,9 @@ class Signal(NamedTuple):
     increments: bool
     floor: float
     factor: float = 1.0
+    stride: int = 1
+    less: str = ""
+    level: bool = False
 
 
 class _Points(NamedTuple):
@@ -83,10 +91,12 @@ class Comparison:
         parts = []
         for points in self.pieces:
             shown = self.source.play(model, points.piece)
-            parts.append(
-                np.stack([_taken(s, shown[s.simulated], points, self.source) for s in self.signals])
-            )
-        return self.measured - np.concatenate(parts, axis=1)
+            parts.append(np.stack([_taken(s, shown, points, self.source) for s in self.signals]))
+        errors = self.measured - np.concatenate(parts, axis=1)
+        for k, signal in enumerate(self.signals):
+            if signal.level and np.isfinite(errors[k]).any():
+                errors[k] -= np.nanmedian(errors[k])
+        return np.asarray(errors)
 
     def errors_of(self, models: Sequence[Model], workers: int | None = None) -> list[Array]:
         """The same for many models, over the machine's cores; all NaN where one cannot be run."""
@@ -113,8 +123,15 @@ def compare(
     model: Model,
     block: Choice = "auto",
     window_s: float | None = None,
+    *,
+    scales: Sequence[int] = (),
 ) -> Comparison:
     """How this recording is compared with models such as `model`.
+
+    With `scales` every angle is compared over increments between the means of so many rows, and as
+    it is, from a zero of its own. Where both angles came, the motor's and the twist are compared
+    instead of the motor's and the load's: what moves the motor is then told from what lies behind
+    it, and what is slow from what is quick.
 
     Raises FitError where its channels do not suffice, where it is too short, or nothing moves;
     ConfigError where the block cannot be played so.
@@ -125,6 +142,8 @@ def compare(
     window_s = _window(name, window_s)
     source = Source(name, rows, current if name == "mechanics" else None)
     signals = tuple(_signals(name, rows, model))
+    if scales:
+        signals = tuple(_scaled(signals, rows, scales))
     stride = max(1, round(INCREMENT_S / rows.period_s)) if window_s is not None else 1
     pieces = tuple(_points(piece, stride) for piece in source.pieces(window_s))
     start = np.concatenate([p.start for p in pieces])
@@ -226,6 +245,38 @@ def _signals(block: Name, rows: Rows, model: Model) -> Iterator[Signal]:
                 return
 
 
+def _scaled(signals: Sequence[Signal], rows: Rows, scales: Sequence[int]) -> Iterator[Signal]:
+    """The same signals over increments of several lengths, load and motor as motor and twist."""
+    channels = {signal.channel for signal in signals}
+    both = {"load_angle_rad", "motor_position_rad"} <= channels
+    for signal in signals:
+        if not signal.increments:
+            yield signal
+            continue
+        twist = both and signal.channel == "load_angle_rad"
+        name, less = signal.name, ""
+        floor = signal.floor
+        if twist:
+            name, less = "twist", "motor_position_rad"
+            motor = next(s for s in signals if s.channel == less)
+            floor = float(np.hypot(floor, motor.floor))
+        for stride in scales:
+            over = f" over {stride * rows.period_s * 1e3:g} ms" if stride > 1 else ""
+            yield signal._replace(
+                name=f"{name}{over}", floor=floor / max(stride, 1) ** 1.5, stride=stride, less=less
+            )
+        if twist or not both:
+            where = name.split()[0]
+            yield signal._replace(
+                name=f"{where} angle",
+                unit="rad",
+                increments=False,
+                floor=floor * rows.period_s / np.sqrt(2.0),
+                less=less,
+                level=True,
+            )
+
+
 def _points(piece: Piece, stride: int) -> _Points:
     rows = np.arange(piece.first, piece.last, stride)
     return _Points(piece, rows[:-1], rows[1:])
@@ -233,20 +284,51 @@ def _points(piece: Piece, stride: int) -> _Points:
 
 def _measured(signals: Sequence[Signal], points: _Points, source: Source) -> Array:
     at = points.piece.rows
-    taken = [
-        _taken(s._replace(factor=1.0), source.rows.channel(s.channel)[at], points, source)
-        for s in signals
-    ]
-    return np.stack(taken)
+    names = {s.channel for s in signals} | {s.less for s in signals if s.less}
+    shown = {name: source.rows.channel(name)[at] for name in names}
+    return np.stack(
+        [
+            _taken(s._replace(factor=1.0, simulated=s.channel), shown, points, source)
+            for s in signals
+        ]
+    )
 
 
-def _taken(signal: Signal, values: Array, points: _Points, source: Source) -> Array:
-    """The signal at the points, from values at the piece's rows."""
+def _taken(signal: Signal, shown: Mapping[str, Array], points: _Points, source: Source) -> Array:
+    """The signal at the points, from the channels at the piece's rows."""
+    values = shown[signal.simulated]
+    if signal.less:
+        values = values - shown[signal.less]
     start, end = points.start - points.piece.first, points.end - points.piece.first
     if not signal.increments:
-        return values[end] * signal.factor
+        return np.asarray(values[end] * signal.factor)
+    if signal.stride > 1:
+        return _long(signal.stride, values, points, source)
     elapsed_s = source.rows.t_s[points.end] - source.rows.t_s[points.start]
     return np.asarray((values[end] - values[start]) / elapsed_s)
+
+
+def _long(stride: int, values: Array, points: _Points, source: Source) -> Array:
+    """From the mean of `stride` points to that of the next ones, over their distance (Haar).
+
+    The sensor's white noise falls with sqrt(stride) in it. Neighbours overlap by half, and none
+    reaches over a disturbed row.
+    """
+    rows, first = source.rows, points.piece.first
+    found = np.full(points.start.size, np.nan)
+    begin = np.arange(0, points.start.size - 2 * stride + 1, max(stride // 2, 1))
+    if not begin.size:
+        return found
+    edges = np.append(points.start, points.end[-1])
+    start, middle, end = edges[begin], edges[begin + stride], edges[begin + 2 * stride]
+    total = np.concatenate(([0.0], np.cumsum(values)))
+    uneven = np.concatenate(([0], np.cumsum(~rows.even)))
+    whole = uneven[end] == uneven[start]
+    early = (total[middle - first] - total[start - first]) / (middle - start)
+    late = (total[end - first] - total[middle - first]) / (end - middle)
+    apart_s = 0.5 * (rows.t_s[end] - rows.t_s[start])
+    found[begin] = np.where(whole, (late - early) / apart_s, np.nan)
+    return found
 
 
 def _whole(rows: Rows, points: _Points) -> Mask:

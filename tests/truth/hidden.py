@@ -9,6 +9,7 @@
     hide(seed, {"cogging": 5e-3})         these, so strong
     wire_one, wire_pair, ...              the same as a rig's plant, "tests.truth.hidden:wire_one"
     record(sealed, experiment, nominal)   the experiment on that axis, as the bench would record it
+    record(..., take=1, sized_for_rad_s=v)   once more: other noise, the same axis
     sealed.open()                         what it was
 
 The recording is made without a wire. It carries the bench's values (`Recording`, `Experiment`)
@@ -36,6 +37,7 @@ from tests.truth.catalogue import (
     same_as,
 )
 from tests.truth.effects import NONE, Effects
+from tests.truth.nuisances import scattered
 from tests.truth.plant import NominalValues, TruthPlant
 
 Kind = Literal["gap", "one", "none", "outside", "pair"]
@@ -123,11 +125,16 @@ class Sealed:
         return self.__truth
 
     def plant(
-        self, nominal: NominalValues, velocity_rad_s: float = PAPER_VELOCITY_RAD_S
+        self,
+        nominal: NominalValues,
+        velocity_rad_s: float = PAPER_VELOCITY_RAD_S,
+        *,
+        take: int = 0,
     ) -> TruthPlant:
         """The axis at rest, its effects sized for commands up to this velocity.
 
-        ValueError where a hidden gap is a multiple of a nominal one of zero: no factor could show.
+        Every take is the same axis with other noise. ValueError where a hidden gap is a multiple
+        of a nominal one of zero: no factor could show.
         """
         per_gap = any(BY_NAME[name].per == "gap" for name in self.__truth.causes)
         if per_gap and nominal.backlash_gap_rad == 0.0:
@@ -136,7 +143,12 @@ class Sealed:
                 "give the nominal rig a gap above zero"
             )
         truth = self.__truth
-        return TruthPlant(nominal, truth.noise_seed, truth.effects(nominal, velocity_rad_s))
+        return TruthPlant(
+            nominal,
+            truth.noise_seed + take,
+            truth.effects(nominal, velocity_rad_s),
+            scattered(truth.noise_seed),
+        )
 
 
 def draw(seed: int, kind: Kind = "gap", *, among: Sequence[str] | None = None) -> Sealed:
@@ -228,18 +240,29 @@ def _sized(rng: np.random.Generator, hiding: Hiding) -> Drawn:
     return Drawn(hiding.name, size, fields)
 
 
-def record(sealed: Sealed, experiment: Experiment, nominal: NominalValues) -> Recording:
+def record(
+    sealed: Sealed,
+    experiment: Experiment,
+    nominal: NominalValues,
+    *,
+    take: int = 0,
+    sized_for_rad_s: float | None = None,
+) -> Recording:
     """Play the experiment on the sealed axis: outputs at a slot's start, then its command.
+
+    Another `take` has other noise. What is sized by the command is sized by this experiment's
+    largest velocity, or by `sized_for_rad_s`: the same for every recording of one axis.
 
     Channels: slot, phase, chip, asked_ns, velocity_command_rad_s, motor_position_rad (counts of
     the drive's 65536 per turn), motor_torque_nm (thousandths of rated torque), load_angle_counts
     and load_angle_rad (65536 per turn, white noise of one count), each of shape (slots,).
     """
     schedule = experiment.schedule()
-    plant = sealed.plant(nominal, schedule.peak_velocity_rad_s)
+    sized_for_rad_s = schedule.peak_velocity_rad_s if sized_for_rad_s is None else sized_for_rad_s
+    plant = sealed.plant(nominal, sized_for_rad_s, take=take)
     played = plant.play(schedule.velocity_rad_s, schedule.period_s)
     slot = np.arange(schedule.slots, dtype=np.int64)
-    rng = np.random.default_rng((sealed.open().noise_seed, 5))
+    rng = np.random.default_rng((sealed.open().noise_seed + take, 5))
     noise_counts = LOAD_ENCODER_NOISE_COUNTS * rng.standard_normal(schedule.slots)
     load_counts = _counts(played.load_angle_rad, noise_counts)
     motor_counts = _counts(played.motor_position_rad, np.zeros(schedule.slots))

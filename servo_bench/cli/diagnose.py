@@ -1,0 +1,204 @@
+"""`servo-bench diagnose`: what the simulation of a rig gets wrong, and why."""
+
+import json as json_module
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from servo_bench.cli.output import refuse_existing, write_json, write_text
+from servo_bench.diagnosis.diagnose import believed, investigate
+from servo_bench.diagnosis.extended import extended_rig, rig_text
+from servo_bench.diagnosis.finding import Finding
+from servo_bench.diagnosis.judgement import verdict_of
+from servo_bench.diagnosis.picture import picture
+from servo_bench.diagnosis.undecided import check_alike, check_effects, open_questions, undecided
+from servo_bench.diagnosis.verdict import Cause, Verdict
+from servo_bench.errors import ConfigError, FitError
+from servo_bench.recording.mcap_file import load
+from servo_bench.recording.recording import Recording
+from servo_bench.report.diagnosis_page import diagnosis_report
+from servo_bench.rig import RigConfig, load_rig
+from sim_rig.errors import SimRigError
+from sim_rig.model import Model
+
+FAILED = (FitError, SimRigError, np.linalg.LinAlgError)
+"""What an estimate may end in; stated in the verdict."""
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    app.command("diagnose")(diagnose)
+
+
+def diagnose(
+    recordings: Annotated[
+        list[Path] | None, typer.Argument(metavar="REC...", help="Recordings (MCAP) of one rig.")
+    ] = None,
+    *,
+    holdout: Annotated[
+        Path | None, typer.Option(help="Measure the gain on this recording, which no fit sees.")
+    ] = None,
+    rig: Annotated[
+        Path | None, typer.Option(help="The rig that is believed; else the recording's.")
+    ] = None,
+    without: Annotated[
+        list[str] | None, typer.Option(help="Leave this effect out of the catalogue. Repeatable.")
+    ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option(help="Try nothing but this effect. Repeatable.")
+    ] = None,
+    json: Annotated[Path | None, typer.Option(help="Write the verdict to this file.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Write the page, one HTML file, to this file.")
+    ] = None,
+    rig_out: Annotated[
+        Path | None, typer.Option(help="Write the rig with the verdict's model to this file.")
+    ] = None,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the verdict's JSON schema, and end.")
+    ] = False,
+) -> None:
+    """Say what the simulation of a rig gets wrong, name the cause, and measure what mending gains.
+
+    The verdict is "named", "none", or "unknown"; each ends with exit code 0.
+    """
+    if schema:
+        Console(soft_wrap=True, markup=False, highlight=False).print(
+            json_module.dumps(Verdict.model_json_schema(), indent=2)
+        )
+        return
+    if not recordings:
+        raise ConfigError("no recording is given: name one or more MCAP files, or --schema.")
+    refuse_existing(json, report, rig_out)
+    left_out, alone = _names(without), _names(only)
+    check_effects(left_out, alone)
+    loaded = [load(path) for path in recordings]
+    held_out = load(holdout) if holdout is not None else None
+    check_alike(loaded, held_out)
+    config = load_rig(rig) if rig is not None else loaded[0].rig
+    if rig_out is not None and config is None:
+        raise ConfigError("--rig-out extends a rig, and the recording has none: give --rig.")
+    model = config.model() if config is not None else believed(loaded)
+    found = _concluded(loaded, held_out, model, left_out, alone)
+    _show(found.verdict)
+    if json is not None:
+        write_json(json, found.verdict.numbers())
+    if report is not None:
+        write_text(report, diagnosis_report(found.verdict, found.finding, loaded[0]))
+    _write_rig(rig_out, config, found.verdict)
+    for path in (json, report, rig_out):
+        if path is not None and path.exists():
+            Console().print(f"written: {escape(str(path))}", soft_wrap=True)
+
+
+class Concluded(NamedTuple):
+    """The verdict, and what it was written from, where the data could be judged."""
+
+    verdict: Verdict
+    finding: Finding | None
+
+
+def _concluded(
+    recordings: Sequence[Recording],
+    held_out: Recording | None,
+    model: Model,
+    without: Sequence[str],
+    only: Sequence[str],
+) -> Concluded:
+    try:
+        with _progress() as told:
+            finding = investigate(
+                recordings,
+                model=model,
+                held_out=held_out,
+                without=without,
+                only=only,
+                report=told,
+            )
+            told("writing the verdict")
+            verdict = verdict_of(finding)
+            more = tuple(open_questions(recordings[0]))
+            return Concluded(
+                verdict.model_copy(
+                    update={
+                        "signature": picture(finding),
+                        "undecided": (*verdict.undecided, *more),
+                    }
+                ),
+                finding,
+            )
+    except FAILED as error:
+        return Concluded(undecided(error, recordings), None)
+
+
+def _names(given: Sequence[str] | None) -> tuple[str, ...]:
+    """Effects by name, with commas or one by one."""
+    names = (name.strip() for item in given or () for name in item.split(","))
+    return tuple(dict.fromkeys(name for name in names if name))
+
+
+def _write_rig(path: Path | None, rig: RigConfig | None, verdict: Verdict) -> None:
+    if path is None or rig is None:
+        return
+    if not verdict.nominal:
+        Console(stderr=True).print(
+            f"[yellow]note:[/] {escape(str(path))} is not written: nothing was fitted.",
+            soft_wrap=True,
+        )
+        return
+    write_text(path, rig_text(extended_rig(rig, verdict)))
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str], None]]:
+    """A line that says what is being done; lines one under another where it is no terminal."""
+    console = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
+    if not console.is_terminal:
+        yield console.print
+        return
+    with console.status("reading") as line:
+        yield lambda what: line.update(what)
+
+
+def _show(verdict: Verdict) -> None:
+    console = Console()
+    console.print(f"[bold]{verdict.verdict}[/]: {escape(verdict.sentence)}", soft_wrap=True)
+    if verdict.causes:
+        table = Table("cause", "parameter", "value", "95 %", "unit", show_edge=False)
+        table.add_column("confidence", justify="right")
+        table.add_column("or")
+        for cause in verdict.causes:
+            for row in _rows(cause):
+                table.add_row(*row)
+        console.print(table)
+    if verdict.error is not None:
+        error = verdict.error
+        console.print(
+            f"held out, {error.signal}: rms {error.before:.4g} before, {error.after:.4g} after, "
+            f"noise {error.noise_floor:.2g} {error.unit}",
+            soft_wrap=True,
+        )
+    if verdict.signature is not None:
+        console.print(escape(verdict.signature.words), soft_wrap=True)
+    for word, sentences in (("note", verdict.notes), ("undecided", verdict.undecided)):
+        for sentence in sentences:
+            console.print(f"[yellow]{word}:[/] {escape(sentence)}", soft_wrap=True)
+    if verdict.next_run:
+        console.print(f"[bold]next:[/] {escape(verdict.next_run)}", soft_wrap=True)
+
+
+def _rows(cause: Cause) -> Iterator[tuple[str, ...]]:
+    first = (f"[bold]{cause.effect}[/]", f"{cause.confidence:.0%}", ", ".join(cause.ambiguous_with))
+    for name, q in cause.parameters.items() or ():
+        low, high = q.ci95
+        yield (first[0], name, f"{q.value:.4g}", f"{low:.4g} .. {high:.4g}", q.unit, *first[1:])
+        first = ("", "", "")
+    if not cause.parameters:
+        yield (first[0], "", "", "", "", *first[1:])

@@ -1,0 +1,72 @@
+"""Recordings in, verdict out: `finding` has the stages, `judgement` writes the verdict."""
+
+from collections.abc import Collection, Sequence
+
+from servo_bench.diagnosis.comparison import Choice
+from servo_bench.diagnosis.finding import Finding, Told, find_causes, nothing_told
+from servo_bench.diagnosis.judgement import verdict_of
+from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.errors import ConfigError
+from servo_bench.recording.recording import Recording
+from sim_rig.model import Model
+
+
+def diagnose(
+    recordings: Sequence[Recording],
+    *,
+    model: Model | None = None,
+    held_out: Recording | None = None,
+    without: Collection[str] = (),
+    only: Collection[str] = (),
+    block: Choice = "auto",
+    report: Told = nothing_told,
+) -> Verdict:
+    """What the simulation of this rig gets wrong.
+
+    `model` is what is believed before (else the recording's own rig); `without` takes effects out
+    of the catalogue, `only` leaves nothing but these; gain is measured on `held_out`, else on the
+    recordings' own validation. Raises FitError where the data cannot be judged at all, ConfigError
+    where no model is known.
+    """
+    finding = investigate(
+        recordings,
+        model=model,
+        held_out=held_out,
+        without=without,
+        only=only,
+        block=block,
+        report=report,
+    )
+    return verdict_of(finding)
+
+
+def investigate(
+    recordings: Sequence[Recording],
+    *,
+    model: Model | None = None,
+    held_out: Recording | None = None,
+    without: Collection[str] = (),
+    only: Collection[str] = (),
+    block: Choice = "auto",
+    report: Told = nothing_told,
+) -> Finding:
+    """The same, with everything that a verdict and its page are written from."""
+    return find_causes(
+        recordings,
+        model or believed(recordings),
+        held_out=held_out,
+        block=block,
+        without=without,
+        only=only,
+        report=report,
+    )
+
+
+def believed(recordings: Sequence[Recording]) -> Model:
+    """The model that the first recording's own rig file states. ConfigError where it has none."""
+    rig = recordings[0].rig if recordings else None
+    if rig is None:
+        raise ConfigError(
+            "the recording says nothing of its rig: give --rig RIG.toml with [nominal]."
+        )
+    return rig.model()

@@ -1,0 +1,208 @@
+"""Recordings as a diagnosis weighs them: whitened errors of any model, seen and held out.
+
+Every angle is compared over increments between means of 1, 6, 36 and 216 rows, and as it is, so
+that a slow error counts beside a quick one; each signal is weighed by its sensor's floor or, where
+that is more, by the robust deviation that its error still has. The cost of a model is
+
+    F = sum rho(e / sigma),    rho(x) = 2 k^2 (sqrt(1 + (x/k)^2) - 1),   k = 2
+
+over points that overlap and hang together: differences of F are judged by their scatter over
+blocks of the recording, never by a chi-square table. Source: Huber, Robust Statistics (1981).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_bench.diagnosis.comparison import Choice, Comparison, compare
+from servo_bench.diagnosis.rows import Array, Mask
+from servo_bench.excitation.experiment import Phase
+from servo_bench.recording.recording import Recording
+from sim_rig.model import Model
+
+SCALES = (1, 6, 36, 216)
+KNEE = 2.0
+BLOCK_GROUPS = 2
+"""A block is so many groups of `comparison` (0.25 s each)."""
+COARSE = 4.0
+"""How many times longer the simulation's steps are while candidates are tried."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What is compared: `fitted` recordings, and those that judge (their held-out points)."""
+
+    fitted: tuple[Comparison, ...]
+    judging: tuple[Comparison, ...]
+    judging_whole: bool
+    fitted_whole: bool = False
+
+    def seen(self, models: Sequence[Model], *, coarse: bool = True) -> list["Errors"]:
+        """Errors at the fitted points, model by model."""
+        masks = [c.seen | c.held_out if self.fitted_whole else c.seen for c in self.fitted]
+        return self._errors(self.fitted, masks, models, coarse)
+
+    def held_out(self, models: Sequence[Model], *, coarse: bool = True) -> list["Errors"]:
+        """Errors at the points that no fit saw."""
+        masks = [c.seen | c.held_out if self.judging_whole else c.held_out for c in self.judging]
+        return self._errors(self.judging, masks, models, coarse)
+
+    @staticmethod
+    def _errors(
+        comparisons: Sequence[Comparison],
+        masks: Sequence[Mask],
+        models: Sequence[Model],
+        coarse: bool,
+    ) -> list["Errors"]:
+        if coarse:
+            models = [replace(m, longest_step_s=COARSE * m.longest_step_s) for m in models]
+        played = [c.errors_of(models) for c in comparisons]
+        return [
+            Errors(comparisons, masks, [rows[k] for rows in played]) for k in range(len(models))
+        ]
+
+    @cached_property
+    def floors(self) -> Array:
+        """The sensors' floors, shape (signals,): the largest over the fitted recordings."""
+        floors = [[s.floor for s in c.signals] for c in self.fitted]
+        return np.asarray(np.max(floors, axis=0), np.float64)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The signals' names, in order."""
+        return tuple(s.name for s in self.fitted[0].signals)
+
+
+class Errors:
+    """One model's errors over several recordings."""
+
+    def __init__(
+        self, comparisons: Sequence[Comparison], masks: Sequence[Mask], errors: Sequence[Array]
+    ) -> None:
+        rows = []
+        groups = []
+        offset = 0
+        for comparison, mask, error in zip(comparisons, masks, errors, strict=True):
+            weighed = error * _weights(comparison)
+            rows.append(np.where(mask & np.isfinite(comparison.measured), weighed, np.nan))
+            groups.append(comparison.group // BLOCK_GROUPS + offset)
+            offset += int(comparison.group.max(initial=0)) // BLOCK_GROUPS + 1
+            if not np.isfinite(error[np.isfinite(comparison.measured)]).all():
+                rows[-1] = np.full_like(rows[-1], np.inf)
+        self.rows: Array = np.concatenate(rows, axis=1)
+        self.group: NDArray[np.int64] = np.concatenate(groups)
+
+    @property
+    def ran_away(self) -> bool:
+        """Whether the model could not be simulated."""
+        return bool(np.isinf(self.rows).any())
+
+    def deviation(self, floors: Array) -> Array:
+        """Robust deviation of every signal, no less than its floor; shape (signals,)."""
+        return np.maximum(floors, self.robust())
+
+    def robust(self) -> Array:
+        """1.4826 times the median size of every signal's error; shape (signals,)."""
+        return np.asarray(1.4826 * np.nanmedian(np.abs(self.rows), axis=1))
+
+    def rms(self) -> Array:
+        """Root mean square of every signal's error; shape (signals,)."""
+        return np.asarray(np.sqrt(np.nanmean(self.rows**2, axis=1)))
+
+    def white(self, sigma: Array) -> Array:
+        """Known points over sigma, one long row; zero where nothing is known."""
+        white = np.nan_to_num(self.rows / sigma[:, None], nan=0.0, posinf=1e6)
+        return np.asarray(white.ravel())
+
+    def costs(self, sigma: Array) -> Array:
+        """rho by block, shape (blocks,)."""
+        rho = robust_cost(self.white(sigma)).reshape(self.rows.shape).sum(axis=0)
+        return np.bincount(self.group, rho).astype(np.float64)
+
+    def cost(self, sigma: Array) -> float:
+        """F."""
+        return float(robust_cost(self.white(sigma)).sum())
+
+    @property
+    def points(self) -> int:
+        """How many points are known."""
+        return int(np.isfinite(self.rows).sum())
+
+
+def robust_cost(white: Array) -> Array:
+    """rho, point by point."""
+    return np.asarray(2.0 * KNEE**2 * (np.sqrt(1.0 + (white / KNEE) ** 2) - 1.0))
+
+
+def block_z(better: Array, worse: Array) -> float:
+    """z-score of the mean advantage over blocks, by signed roots; 0 where there is none at all.
+
+    Roots, because the advantage of a rare event (a limit that is reached) lies in few blocks.
+    """
+    gained = worse - better
+    gained = gained[(worse != 0.0) | (better != 0.0)]
+    if gained.size < 3:
+        return 0.0
+    roots = np.sign(gained) * np.sqrt(np.abs(gained))
+    scatter = float(roots.std(ddof=1))
+    return float(roots.mean() / scatter * np.sqrt(roots.size)) if scatter > 0.0 else 0.0
+
+
+def _weights(comparison: Comparison) -> Array:
+    increments = np.array([s.increments and s.stride == 1 for s in comparison.signals])
+    return np.where(increments[:, None], comparison.weight, 1.0)
+
+
+def evidence_of(
+    recordings: Sequence[Recording],
+    model: Model,
+    *,
+    held_out: Recording | None = None,
+    block: Choice = "auto",
+) -> Evidence:
+    """Weigh these recordings; FitError and ConfigError as `compare`."""
+    fitted = tuple(compare(r, model, block, scales=SCALES) for r in recordings)
+    if held_out is None:
+        return Evidence(fitted, fitted, judging_whole=False)
+    judging = compare(held_out, model, fitted[0].block, scales=SCALES)
+    return Evidence(fitted, (judging,), judging_whole=True)
+
+
+def quick_evidence(
+    recordings: Sequence[Recording],
+    model: Model,
+    rows: int,
+    *,
+    held_out: Recording | None = None,
+    block: Choice = "auto",
+) -> Evidence:
+    """Only the recordings' beginnings are fitted; judged by what is held out of them, to its end.
+
+    A validation is played from the recording's start, because clocks and warmth count from there.
+    """
+    judging = evidence_of(recordings, model, held_out=held_out, block=block)
+    short = [beginning(r, rows) for r in recordings]
+    if held_out is None and any(_validation(r) is None for r in recordings):
+        return evidence_of(short, model, block=block)
+    fitted = tuple(compare(r, model, judging.fitted[0].block, scales=SCALES) for r in short)
+    return Evidence(fitted, judging.judging, judging.judging_whole, fitted_whole=True)
+
+
+def _validation(recording: Recording) -> int | None:
+    """The first row of the validation."""
+    if "phase" not in recording:
+        return None
+    rows = np.flatnonzero(recording["phase"] == Phase.VALIDATION)
+    return int(rows[0]) if rows.size else None
+
+
+def beginning(recording: Recording, rows: int) -> Recording:
+    """The first rows of a recording, none of its validation, for quick looks."""
+    first = _validation(recording)
+    rows = min(rows, len(recording) if first is None else first)
+    if len(recording) <= rows:
+        return recording
+    return replace(recording, channels={n: v[:rows] for n, v in recording.channels.items()})

@@ -1,0 +1,285 @@
+"""The diagnosis: from recordings to a verdict, stage by stage.
+
+    hygiene     lost commands are put right and counted; a lattice of the load angle is looked for
+    base        nominal model and its nuisances, fitted on the recording's beginning
+    rounds      screen, fit, compete, accept; what is there but too small to matter is absorbed
+    whole       everything accepted, on all that was recorded, in fine steps; backward deletion
+    judgement   named, none, or unknown; confidence, rivals, limits, gain on data no fit saw
+
+Every stage is a function of values and can be called alone. Nothing here reads files or clocks but
+`time.perf_counter` for the time it took.
+"""
+
+import time
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from servo_bench.diagnosis.comparison import Choice, compare
+from servo_bench.diagnosis.evidence import Evidence, block_z, evidence_of, quick_evidence
+from servo_bench.diagnosis.gate import is_material, material_sizes, misfit, passes
+from servo_bench.diagnosis.hygiene import (
+    Lattice,
+    LostCommands,
+    heard,
+    lattice,
+    lost_commands,
+    wild_samples,
+)
+from servo_bench.diagnosis.hypotheses import Hypothesis, Scales, hypotheses, scales_of
+from servo_bench.diagnosis.orders import USUAL, OrderLine, Tone, load_lines, motor_lines, tone
+from servo_bench.diagnosis.rounds import Contender, Round, merged, play_round
+from servo_bench.diagnosis.rows import Array
+from servo_bench.diagnosis.seeking import Found, seek
+from servo_bench.diagnosis.unknowns import Unknown, nuisances
+from servo_bench.recording.recording import Recording
+from sim_rig.model import Model
+
+QUICK_ROWS = 2200
+"""Rows of every recording on which candidates are tried: 18 s at 8 ms."""
+MOST_ROUNDS = 5
+MOST_CAUSES = 3
+RIGHT_ALREADY = 0.7
+"""Misfit below which a simulation with a cause named already needs good reasons for another."""
+NEEDED_Z, NEEDED_SHARE = 4.0, 0.01
+Told = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Named:
+    """An accepted cause and the round that found it."""
+
+    effect: str
+    round: Round
+    contender: Contender
+    unknowns: tuple[Unknown, ...]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Everything that a verdict is written from."""
+
+    recordings: tuple[Recording, ...]
+    held_out: Recording | None
+    nominal: Model
+    scales: Scales
+    base: Found
+    final: Found
+    whole: Evidence
+    named: tuple[Named, ...]
+    absorbed: tuple[str, ...]
+    lost: LostCommands
+    lattice: Lattice | None
+    motor_lines: tuple[OrderLine, ...]
+    load_lines: tuple[OrderLine, ...]
+    tone: Tone | None
+    wild: int
+    rounds: tuple[Round, ...]
+    misfit_before: Array
+    misfit_after: Array
+    notes: tuple[str, ...] = ()
+    seconds: float = 0.0
+    deletions: dict[str, float] = field(default_factory=dict)
+
+
+def nothing_told(_: str) -> None:
+    """Progress that nobody wants."""
+
+
+def find_causes(
+    recordings: Sequence[Recording],
+    model: Model,
+    *,
+    held_out: Recording | None = None,
+    block: Choice = "auto",
+    without: Collection[str] = (),
+    only: Collection[str] = (),
+    report: Told = nothing_told,
+) -> Finding:
+    """All stages but the verdict's words. Raises FitError where the data do not suffice."""
+    began = time.perf_counter()
+    report("data hygiene")
+    recordings = tuple(recordings)
+    quick = quick_evidence(recordings, model, QUICK_ROWS, held_out=held_out, block=block)
+    scales = _scales(quick, model)
+    band = nuisances(scales.torque_nm, scales.speed_rad_s, scales.gap_rad)
+    report("base fit")
+    base = seek(quick, model, band, iterations=4)
+    every = [*recordings, *([held_out] if held_out is not None else [])]
+    lost, told_recordings = _lost(every, base, block, without), (recordings, held_out)
+    if lost.rows:
+        recordings, held_out, lost = _put_right(recordings, held_out, base.model, block)
+        quick = quick_evidence(recordings, model, QUICK_ROWS, held_out=held_out, block=block)
+        base = seek(quick, model, band, iterations=4)
+    grid = None if "quantisation" in without else lattice(recordings[0])
+    report("position spectrum")
+    motor, load = motor_lines(quick.fitted[0], base.model), load_lines(quick.fitted[0], base.model)
+    candidates = hypotheses(
+        scales,
+        motor_orders=[_whole_order(line.order) for line in motor] or USUAL,
+        load_orders=[line.order for line in load],
+        without=tuple(without),
+        only=tuple(only),
+    )
+    now, named, absorbed, rounds = _rounds(quick, base, candidates, scales, report)
+    report("joint fit on everything")
+    whole = evidence_of(recordings, model, held_out=held_out, block=block)
+    if lost.rows and _heard_after_all(whole, told_recordings, now, block):
+        recordings, held_out, lost = *told_recordings, LostCommands((), lost.changes)
+        whole = evidence_of(recordings, model, held_out=held_out, block=block)
+    final, named, deletions = _jointly(whole, now, named, band, report)
+    small = _small(final, named, scales)
+    absorbed, named = [*absorbed, *small], [n for n in named if n.effect not in small]
+    plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
+    return Finding(
+        recordings=recordings,
+        held_out=held_out,
+        nominal=model,
+        scales=scales,
+        base=plain,
+        final=final if named or absorbed else plain,
+        whole=whole,
+        named=tuple(named),
+        absorbed=tuple(absorbed),
+        lost=lost,
+        lattice=grid,
+        motor_lines=motor,
+        load_lines=load,
+        tone=tone(quick.fitted[0], now.model),
+        wild=wild_samples(quick.fitted[0], now.model, scales.gap_rad),
+        rounds=tuple(rounds),
+        misfit_before=misfit(whole, plain.errors),
+        misfit_after=misfit(whole, final.errors),
+        deletions=deletions,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _scales(quick: Evidence, model: Model) -> Scales:
+    source = quick.fitted[0].source
+    rows, piece = source.rows, source.pieces(quick.fitted[0].window_s)[0]
+    commands = rows.channel("velocity_command_rad_s")[piece.rows]
+    return scales_of(model, commands, model.simulate(commands, rows.durations_s[piece.rows]))
+
+
+def _whole_order(order: float) -> float:
+    """The nearest whole order, where it is as near as the record's turns can tell."""
+    return float(round(order)) if abs(order - round(order)) < 0.15 else order
+
+
+def _lost(
+    every: Sequence[Recording], base: Found, block: Choice, without: Collection[str]
+) -> LostCommands:
+    """What was lost in all recordings; rows are counted through them."""
+    rows, changes, offset = list[int](), 0, 0
+    for recording in every if "missed_samples" not in without else ():
+        found = lost_commands(compare(recording, base.model, block), base.model)
+        rows += [offset + row for row in found.rows]
+        changes, offset = changes + found.changes, offset + len(recording)
+    return LostCommands(tuple(rows), changes)
+
+
+def _put_right(
+    recordings: tuple[Recording, ...], held_out: Recording | None, model: Model, block: Choice
+) -> tuple[tuple[Recording, ...], Recording | None, LostCommands]:
+    """Every recording with the commands that were heard, and how many were lost in all."""
+    every = [*recordings, *([held_out] if held_out is not None else [])]
+    right, rows, changes = [], [], 0
+    for number, recording in enumerate(every):
+        found = lost_commands(compare(recording, model, block), model)
+        again = heard(recording, found)
+        more = lost_commands(compare(again, model, block), model)
+        right.append(heard(again, more))
+        if number < len(recordings):
+            rows += [*found.rows, *more.rows]
+            changes += found.changes
+    judge = right.pop() if held_out is not None else None
+    return tuple(right), judge, LostCommands(tuple(sorted(rows)), changes)
+
+
+def _in_round(number: int, report: Told) -> Told:
+    return lambda what: report(f"round {number}: {what}")
+
+
+def _heard_after_all(
+    whole: Evidence,
+    told: tuple[tuple[Recording, ...], Recording | None],
+    now: Found,
+    block: Choice,
+) -> bool:
+    """Whether, with the causes known, the commands as sent explain the recording better."""
+    sent = evidence_of(told[0], now.model, held_out=told[1], block=block)
+    as_sent, as_heard = sent.seen([now.model])[0], whole.seen([now.model])[0]
+    return as_sent.cost(now.sigma) <= as_heard.cost(now.sigma)
+
+
+def _rounds(
+    quick: Evidence,
+    base: Found,
+    candidates: Sequence[Hypothesis],
+    scales: Scales,
+    report: Told,
+) -> tuple[Found, list[Named], list[str], list[Round]]:
+    now, named, absorbed, rounds = base, list[Named](), list[str](), list[Round]()
+    open_, sizes = list(candidates), material_sizes(scales)
+    for number in range(MOST_ROUNDS):
+        if not open_ or len(named) == MOST_CAUSES:
+            break
+        played = play_round(quick, now, open_, sizes, _in_round(number + 1, report))
+        rounds.append(played)
+        right = bool(named) and float(misfit(quick, now.errors).max()) < RIGHT_ALREADY
+        accepted = next((c for c in played.contenders if passes(c, right=right)), None)
+        if accepted is None:
+            break
+        if is_material(accepted.found.model, accepted.effect, scales, accepted.held_gain):
+            mine = tuple(u for u in accepted.found.unknowns if u.effect == accepted.effect)
+            named.append(Named(accepted.effect, played, accepted, mine))
+        else:
+            absorbed.append(accepted.effect)
+        now = accepted.found
+        open_ = [h for h in open_ if h.effect != accepted.effect]
+    return now, named, absorbed, rounds
+
+
+def _jointly(
+    whole: Evidence, now: Found, named: list[Named], band: Sequence[Unknown], report: Told
+) -> tuple[Found, list[Named], dict[str, float]]:
+    """Everything accepted on all that was recorded; what is not needed is taken out again."""
+    final = seek(whole, now.model, now.unknowns, iterations=2, first=3, coarse=False)
+    losses: dict[str, float] = {}
+    for one in list(named):
+        if len(named) < 2:
+            break
+        report(f"without {one.effect}")
+        less = without_effect(whole, final, one.effect, band)
+        z = block_z(final.errors.costs(final.sigma), less.errors.costs(final.sigma))
+        share = 1.0 - final.errors.cost(final.sigma) / less.errors.cost(final.sigma)
+        losses[one.effect] = z
+        if z < NEEDED_Z or share < NEEDED_SHARE:
+            named.remove(one)
+            final = less
+    return final, named, losses
+
+
+def _small(final: Found, named: Sequence[Named], scales: Scales) -> tuple[str, ...]:
+    """Causes that shrank, in the joint fit, to what every rig has."""
+    return tuple(
+        n.effect
+        for n in named
+        if not is_material(final.model, n.effect, scales, n.contender.held_gain)
+    )
+
+
+def without_effect(
+    whole: Evidence, final: Found, effect: str, band: Sequence[Unknown], iterations: int = 2
+) -> Found:
+    """The final search again without one effect, or with it back in its band."""
+    back = tuple(u for u in band if u.effect == effect)
+    kept = tuple(u for u in final.unknowns if u.effect != effect)
+    model = final.model.without(effect)
+    for unknown in back:
+        model = unknown.put(
+            model, float(np.clip(unknown.of(final.model), unknown.low, unknown.high))
+        )
+    return seek(whole, model, merged(kept, back), final.sigma, iterations=iterations, first=1)

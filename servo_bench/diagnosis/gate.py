@@ -1,0 +1,136 @@
+"""When a cause may be named: thresholds, fixed before any campaign that judges them.
+
+A contender passes when its advantage over the base is beyond chance in blocks of the recording,
+seen and held out, when it takes a real share of the held-out cost, and when its size is worth a
+name on this rig. Smaller ones are there, but no more than what every rig has beside its drawing:
+they are absorbed into the base and told in a note.
+
+What a simulation may miss and still be right is `ALLOWED`: shares of every signal's rms, about 1.5
+times the worst but one of 40 nulls of an independent plant with its own friction, contact and
+digital loop (seeds 1300-1339 of tests/truth). Beyond it something is wrong, named or not.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from servo_bench.diagnosis.evidence import Errors, Evidence
+from servo_bench.diagnosis.hypotheses import Scales
+from servo_bench.diagnosis.rounds import Contender
+from servo_bench.diagnosis.rows import Array
+from sim_rig.effects import find_effect
+from sim_rig.model import Model
+
+SEEN_Z, HELD_Z = 4.0, 3.0
+HELD_GAIN, FURTHER_GAIN = 0.004, 0.05
+"""Of the held-out cost: of the first cause, and of a further one where little is wrong any more."""
+MOST_OF_IT = 0.5
+"""Who explains so much of what was seen need not be as sure on the rest."""
+HALF, A_FIFTH = 0.5, 0.2
+FLOORS = 2.5
+"""A signal within so many sensor floors is right, whatever its share."""
+ALLOWED = {
+    "twist": (0.10, 0.13, 0.20, 0.25),
+    "motor": (0.006, 0.0036, 0.0012, 0.0009),
+    "load": (0.04, 0.025, 0.007, 0.0025),
+    "twist angle": (0.08,),
+    "load angle": (1.0,),
+    "motor angle": (1.0,),
+    "effort": (0.017,),
+}
+"""Robust deviation over the signal's own rms, from the quickest scale to the slowest."""
+
+
+def material_sizes(s: Scales) -> dict[str, float]:
+    """The smallest strength of each effect that is worth a name on this rig, in SI."""
+    tau, gap = s.torque_nm, s.gap_rad
+    return {
+        "coulomb": 0.045 * tau,
+        "viscous": 0.0055 * tau / s.speed_rad_s,
+        "stribeck": 0.03 * tau,
+        "pre_sliding": 0.08 * tau,
+        "asymmetric_friction": 0.01 * tau,
+        "position_friction": 0.02 * tau,
+        "thermal_friction": 0.04 * tau,
+        "load_dependent_friction": 0.012,
+        "cogging": 0.015 * tau,
+        "torque_ripple": 0.005,
+        "torque_constant_error": 0.0125,
+        "inertia_error": 0.0125,
+        "torque_constant_droop": 0.01 / s.currents_a[0] ** 2,
+        "thermal_torque_constant": 0.01,
+        "gravity_imbalance": 0.02 * tau,
+        "load_torque": 0.02 * tau,
+        "load_friction": 0.05 * tau,
+        "inverter_dead_time": 0.01 * s.current_a,
+        "current_loop_lag": 1.1e-4,
+        "velocity_filter_lag": 2.6e-4,
+        "transport_delay": 1.4e-4,
+        "command_scale": 1e-3,
+        "command_offset": 0.003 * s.command_rad_s,
+        "command_deadband": 0.008 * s.command_rad_s,
+        "command_slew": 5e-4 / s.jump_rad_s,
+        "clock_skew": 2e-6,
+        "backlash_width": 1.05 * min(1e-3, 0.05 * gap),
+        "position_backlash": 0.02 * gap,
+        "encoder_eccentricity": 1.5e-4,
+        "misalignment": 6e-3,
+        "encoder_subdivision": 1e-5,
+    }
+
+
+def is_material(model: Model, effect: str, scales: Scales, held_gain: float = 0.0) -> bool:
+    """Whether an effect of that strength is worth a name on this rig.
+
+    Half of it is enough where the effect takes a fifth of all that is wrong.
+    """
+    size = material_sizes(scales).get(effect, 0.0)
+    return abs(strength_of(model, effect)) >= size * (HALF if held_gain > A_FIFTH else 1.0)
+
+
+def passes(contender: Contender, *, right: bool) -> bool:
+    """Whether a contender is beyond chance; `right`: the base misses no more than it may."""
+    least = FURTHER_GAIN if right else HELD_GAIN
+    if contender.seen_gain > MOST_OF_IT and contender.seen_z > SEEN_Z:
+        return contender.held_gain > FURTHER_GAIN and contender.held_z > 0.5 * HELD_Z
+    return (
+        contender.seen_z > SEEN_Z
+        and contender.held_z > HELD_Z
+        and contender.held_gain > least
+        and contender.seen_gain > HELD_GAIN
+    )
+
+
+def misfit(evidence: Evidence, errors: Errors) -> Array:
+    """Every signal's robust deviation over what a right simulation may miss, shape (signals,)."""
+    robust = errors.robust()
+    return np.asarray(robust / allowed(evidence))
+
+
+def allowed(evidence: Evidence) -> Array:
+    """What a right simulation may miss, in the signals' units, shape (signals,)."""
+    comparison = evidence.fitted[0]
+    found = []
+    steps: dict[str, int] = {}
+    for signal, row in zip(comparison.signals, comparison.measured, strict=True):
+        kind = _kind(signal.name, signal.increments)
+        step = steps.get(kind, 0)
+        steps[kind] = step + 1
+        shares: Sequence[float] = ALLOWED[kind]
+        share = shares[min(step, len(shares) - 1)]
+        known = row[np.isfinite(row) & comparison.seen]
+        rms = float(np.sqrt(np.mean(known**2))) if known.size else 0.0
+        found.append(np.hypot(FLOORS * signal.floor, share * rms))
+    return np.array(found)
+
+
+def _kind(name: str, increments: bool) -> str:
+    if not increments:
+        return name if name in ALLOWED else "effort"
+    return next((k for k in ("twist", "motor", "load") if name.startswith(k)), "load")
+
+
+def strength_of(model: Model, effect: str) -> float:
+    """The first strength of an effect in a model."""
+    params = model.effects.get(effect)
+    return float(getattr(params, find_effect(effect).strengths[0])) if params is not None else 0.0

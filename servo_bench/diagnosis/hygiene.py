@@ -1,0 +1,172 @@
+"""What is wrong with a recording before any model is blamed: lost commands, coarse angles, holes.
+
+A command that the drive never got (the one before was held) leaves the response to one chip,
+
+    e(t) = -(c_k - c_{k-1}) h(t - t_k),      h: response of the angle's increments to a chip of one,
+
+and is found chip by chip with a matched filter on the base's error. A coarse angle lies on a
+lattice of its quantum, whatever moves. Both are exact statements about data; neither is a fit.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from servo_bench.diagnosis.comparison import Comparison
+from servo_bench.diagnosis.rows import Array
+from servo_bench.recording.recording import Recording
+from sim_rig.model import Model
+
+RESPONSE_ROWS = 12
+SURE = 0.35
+"""How far from a whole chip the estimate of a lost one may be."""
+WILD = 12.0
+"""Robust deviations, beyond one and a half gaps, of a sample that is wrong alone."""
+LEFT = 0.2
+"""Of the error's energy over the response, after the lost chip is taken out."""
+CLEAR = 8.0
+"""A lost chip's response over its own scatter."""
+FINEST_QUANTUM_RAD, COARSEST_QUANTUM_RAD = 1.5e-4, 3e-3
+LATTICE = 0.25
+"""Mean of exp(2 pi j y / q): 1 on a perfect lattice, 1/sqrt(n) by chance."""
+
+
+@dataclass(frozen=True, slots=True)
+class LostCommands:
+    """Rows whose command was never heard, and how many rows commanded a change."""
+
+    rows: tuple[int, ...]
+    changes: int
+
+    @property
+    def probability(self) -> float:
+        """Per telegram."""
+        return len(self.rows) / max(self.changes, 1)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % of a Poisson count."""
+        count, spread = len(self.rows), 1.96 * np.sqrt(len(self.rows) + 1.0)
+        return max(count - spread, 0.0) / max(self.changes, 1), (count + 1 + spread) / max(
+            self.changes, 1
+        )
+
+
+def lost_commands(comparison: Comparison, model: Model) -> LostCommands:
+    """Which commands were lost, by the motor's (or load's) increments; only of the closed loop."""
+    rows, piece = comparison.source.rows, comparison.pieces[0].piece
+    commands = (
+        rows.channel("velocity_command_rad_s")[piece.rows] if comparison.block == "loop" else None
+    )
+    if commands is None or len(comparison.pieces) > 1:
+        return LostCommands((), 0)
+    quick = [k for k, s in enumerate(comparison.signals) if s.increments and s.stride == 1]
+    best = next(
+        (k for k in quick if comparison.signals[k].channel == "motor_position_rad"), quick[0]
+    )
+    error = comparison.errors(model)[best]
+    known = np.isfinite(error) & np.isfinite(comparison.measured[best])
+    error = np.where(known, error, 0.0)
+    response = _pulse(model, rows.period_s)
+    jumps = np.diff(commands, prepend=commands[0])
+    change = np.abs(jumps) > 1e-6 * max(float(np.abs(commands).max(initial=0.0)), 1e-12)
+    sigma = max(1.4826 * float(np.median(np.abs(error[known]))), comparison.signals[best].floor)
+    matched = np.correlate(np.append(error, np.zeros(response.size - 1)), response, "valid")
+    energy = float(response @ response)
+    amount = matched[: jumps.size] / energy
+    usable = np.flatnonzero(change[: amount.size])
+    share = -amount[usable] / jumps[usable]
+    clear = np.abs(jumps[usable]) * np.sqrt(energy) > CLEAR * sigma
+    lost = usable[(np.abs(share - 1.0) < SURE) & clear]
+    lost = np.array([k for k in lost if _alone(error, response, -jumps[k], int(k))], np.intp)
+    return LostCommands(tuple(int(piece.first + k) for k in lost), int(change.sum()))
+
+
+def _alone(error: Array, response: Array, chip: float, k: int) -> bool:
+    """Whether the lost chip is what is wrong there: without it little of the error is left."""
+    there = error[k : k + response.size]
+    left = there - chip * response[: there.size]
+    return float(left @ left) < LEFT * float(there @ there)
+
+
+def _pulse(model: Model, period_s: float) -> Array:
+    """Increments of the motor's angle after a chip of 1 rad/s, over the period; shape (rows,)."""
+    command = np.zeros(RESPONSE_ROWS + 1)
+    command[0] = 1.0
+    done = model.without("coulomb", "stribeck").simulate(command, period_s)
+    return np.diff(done.motor_angle_rad) / period_s
+
+
+def heard(recording: Recording, lost: LostCommands) -> Recording:
+    """The recording with the commands that the drive heard."""
+    if not lost.rows:
+        return recording
+    commands = np.array(recording["velocity_command_rad_s"], np.float64)
+    for row in lost.rows:
+        commands[row] = commands[row - 1]
+    return replace(recording, channels={**recording.channels, "velocity_command_rad_s": commands})
+
+
+def wild_samples(comparison: Comparison, model: Model, gap_rad: float) -> int:
+    """Load samples that are wrong alone: beyond what any state of the gap allows, and back."""
+    levels = [k for k, s in enumerate(comparison.signals) if s.level]
+    if not levels or len(comparison.pieces) > 1:
+        return 0
+    error = comparison.errors(model)[levels[0]]
+    sigma = max(1.4826 * float(np.nanmedian(np.abs(error))), 1e-12)
+    beside = 0.5 * (error[:-2] + error[2:])
+    steady = np.abs(error[2:] - error[:-2]) < 0.5 * np.abs(error[1:-1] - beside)
+    return int(np.sum(steady & (np.abs(error[1:-1] - beside) > WILD * sigma + 1.5 * gap_rad)))
+
+
+@dataclass(frozen=True, slots=True)
+class Lattice:
+    """The load angle's quantum and how clear the lattice is (0 to 1)."""
+
+    quantum_rad: float
+    standard_error_rad: float
+    clearness: float
+
+
+def lattice(recording: Recording, counts: float | None = None) -> Lattice | None:
+    """The coarsest lattice that the load angle lies on, beyond the encoder's own counts."""
+    if "load_angle_rad" not in recording:
+        return None
+    angle = np.array(recording["load_angle_rad"], np.float64)
+    angle = angle[np.isfinite(angle)]
+    travel = float(np.ptp(angle)) if angle.size else 0.0
+    if angle.size < 200 or travel < 20 * COARSEST_QUANTUM_RAD:
+        return None
+    lowest, highest = 1.0 / COARSEST_QUANTUM_RAD, 1.0 / FINEST_QUANTUM_RAD
+    own = counts or _own_quantum(angle)
+    if own > 0.0:
+        highest = min(highest, 0.4 / own)
+    if highest <= lowest:
+        return None
+    frequencies, score = _spectrum(angle, travel, highest)
+    inside = (frequencies >= lowest) & (frequencies <= highest)
+    frequency = float(frequencies[inside][np.argmax(score[inside])])
+    centred = angle - angle.mean()
+    near = frequency + np.linspace(-0.5, 0.5, 101) / travel
+    refined = np.abs(np.exp(2j * np.pi * np.outer(near, centred)).mean(axis=1))
+    frequency, clear = float(near[np.argmax(refined)]), float(refined.max())
+    if clear < LATTICE:
+        return None
+    spread = np.sqrt(max(1.0 - clear, 1e-6)) / (travel * np.sqrt(angle.size)) / frequency**2
+    return Lattice(1.0 / frequency, float(spread), clear)
+
+
+def _spectrum(angle: Array, travel: float, highest: float) -> tuple[Array, Array]:
+    """|mean exp(2 pi j f y)| over f, 1/rad, from a fine histogram of the angle."""
+    width = 0.2 / highest
+    bins = int(np.ceil(1.05 * travel / width)) + 1
+    place = ((angle - angle.min()) / width).astype(np.int64)
+    counted = np.bincount(place, minlength=bins).astype(np.float64)
+    spectrum = np.abs(np.fft.rfft(counted)) / angle.size
+    return np.asarray(np.fft.rfftfreq(counted.size, width), np.float64), spectrum
+
+
+def _own_quantum(angle: Array) -> float:
+    steps = np.diff(np.unique(angle))
+    steps = steps[steps > 1e-9 * np.ptp(angle)]
+    return float(np.median(steps[steps < 3.0 * steps.min()])) if steps.size else 0.0

@@ -1,0 +1,265 @@
+"""What is tried: for every effect of the catalogue a few finite sizes, and what is free in its fit.
+
+Sizes follow the rig and the excitation, so that a rig ten times as large is asked the same
+question: tau, omega, i are rms torque, speed and current of the nominal rig under this command; V
+the largest command and dV the rms of its jumps; W the gap; J the inertia. An effect without a line
+here is tried at three sizes of its own prior range, so that a new file needs nothing else.
+
+Friction, weight and torque on the load need a load: they are tried on the rigid one and on one with
+a mass of its own (contact), which is then the vehicle and not the cause.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from servo_bench.diagnosis.unknowns import Unknown, widened
+from sim_rig.effects import catalogue, find_effect
+from sim_rig.effects.effect import Effect
+from sim_rig.model import Model, Simulated
+
+Table = Mapping[str, float]
+QUANTILES = (0.5, 0.66, 0.83)
+"""Of a prior's range by its logarithm: sizes of an effect that says nothing else."""
+SHARP = frozenset(
+    {
+        *("coulomb", "asymmetric_friction", "load_dependent_friction", "load_friction"),
+        *("position_friction", "thermal_friction"),
+    }
+)
+"""Friction whose smoothed sign change is tried sharper than its file has it."""
+LOAD_SHARE = 0.04
+"""Of the inertia, behind the gap of a vehicle."""
+DETECTED = frozenset({"missed_samples", "quantisation"})
+"""Found by looking for them in the data (`hygiene`), not by trying sizes."""
+
+
+class Scales(NamedTuple):
+    """How large things are on this rig under this excitation; SI."""
+
+    torque_nm: float
+    speed_rad_s: float
+    current_a: float
+    currents_a: tuple[float, float, float]
+    integral_a: tuple[float, float, float]
+    command_rad_s: float
+    jump_rad_s: float
+    gap_rad: float
+    inertia_kg_m2: float
+
+
+def scales_of(model: Model, commands_rad_s: np.ndarray, done: Simulated) -> Scales:
+    """From the nominal rig's own simulation. `currents_a` are high quantiles of its size."""
+    nominal = model.nominal
+    current = np.abs(done.motor_current_a)
+    wanted = commands_rad_s - done.motor_velocity_rad_s
+    integral = np.abs(done.motor_current_a - nominal.proportional_gain_a_s_per_rad * wanted)
+    jumps = np.diff(commands_rad_s)
+    jumps = jumps[jumps != 0.0]
+    rms = float(np.sqrt(np.mean(current**2)))
+    return Scales(
+        torque_nm=max(rms * nominal.torque_constant_nm_per_a, 1e-9),
+        speed_rad_s=max(float(np.sqrt(np.mean(done.motor_velocity_rad_s**2))), 1e-9),
+        current_a=max(rms, 1e-9),
+        currents_a=_quantiles(current, (0.98, 0.92, 0.8)),
+        integral_a=_quantiles(integral, (0.98, 0.9, 0.75)),
+        command_rad_s=max(float(np.abs(commands_rad_s).max()), 1e-9),
+        jump_rad_s=max(float(np.sqrt(np.mean(jumps**2))) if jumps.size else 0.0, 1e-9),
+        gap_rad=nominal.backlash_gap_rad,
+        inertia_kg_m2=nominal.inertia_kg_m2,
+    )
+
+
+def _quantiles(values: np.ndarray, at: Sequence[float]) -> tuple[float, float, float]:
+    high, middle, low = (max(float(q), 1e-9) for q in np.quantile(values, at))
+    return high, middle, low
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One setting of an effect; `beside` are effects that carry it; `size` that of its strength."""
+
+    effect: str
+    settings: Table
+    size: float
+    beside: Mapping[str, Table] = field(default_factory=dict)
+
+    def on(self, model: Model) -> Model:
+        """The model with it. Raises EffectError where it makes none."""
+        for name, table in self.beside.items():
+            if name not in model.effects or find_effect(name).is_off(model.effects[name]):
+                model = model.with_effect(name, **table)
+        params = model.effects.get(self.effect, find_effect(self.effect).params())
+        kept = {k: float(v) for k, v in params._asdict().items()}
+        return model.with_effect(self.effect, **{**kept, **self.settings})
+
+    def times(self, share: float) -> "Trial":
+        """So many times as strong."""
+        strength = next(iter(self.settings))
+        value = self.settings[strength] * share
+        return Trial(self.effect, {**self.settings, strength: value}, abs(value), self.beside)
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One effect: trials, and the fields that a fit frees, its own and its vehicle's."""
+
+    effect: str
+    trials: tuple[Trial, ...]
+    free: tuple[str, ...]
+
+    def unknowns(self, model: Model, trial: Trial) -> tuple[Unknown, ...]:
+        """What a fit that starts from `trial` frees."""
+        found = list(widened(self.effect, self.free, model, trial.size))
+        for name in trial.beside:
+            found += widened(name, _FREE[name], model, 1.0)
+        return tuple(found)
+
+
+_FREE = {
+    "coulomb": ("torque_nm", "transition_rad_s"),
+    "load_friction": ("torque_nm", "transition_rad_s"),
+    "stribeck": ("excess_torque_nm", "stribeck_rad_s"),
+    "pre_sliding": ("torque_nm", "breakaway_angle_rad"),
+    "contact": ("compliance_rad_per_nm", "damping_s", "load_inertia_kg_m2"),
+    "coupling_compliance": ("compliance_rad_per_nm", "damping_s", "load_inertia_kg_m2"),
+    "inverter_dead_time": ("notch_a", "recovery_s"),
+    "current_limit": ("limit_per_a",),
+}
+
+
+def hypotheses(
+    scales: Scales,
+    *,
+    motor_orders: Sequence[float] = (),
+    load_orders: Sequence[float] = (),
+    without: Sequence[str] = (),
+    only: Sequence[str] = (),
+) -> tuple[Hypothesis, ...]:
+    """All that can be tried on this rig."""
+    found = []
+    for name, effect in catalogue().items():
+        if name in DETECTED or name in without or (only and name not in only):
+            continue
+        if name in ("backlash_width", "position_backlash") and scales.gap_rad <= 0.0:
+            continue
+        trials = tuple(_trials(effect, scales, motor_orders, load_orders))
+        if trials:
+            found.append(Hypothesis(name, trials, _FREE.get(name) or _default_free(effect)))
+    return tuple(found)
+
+
+def _default_free(effect: Effect) -> tuple[str, ...]:
+    """The first strength, and its phase where it has one."""
+    phases = ("phase_rad",) if "phase_rad" in effect.params._fields else ()
+    return effect.strengths[:1] + phases
+
+
+def _trials(
+    effect: Effect,
+    scales: Scales,
+    motor_orders: Sequence[float],
+    load_orders: Sequence[float],
+) -> Iterator[Trial]:
+    sizes = _sizes(effect, scales)
+    strength = effect.strengths[0]
+    for choice, beside in _choices(effect.name, scales, motor_orders, load_orders):
+        for size in sizes:
+            yield Trial(effect.name, {strength: size, **choice}, abs(size), beside)
+
+
+def _sizes(effect: Effect, s: Scales) -> tuple[float, ...]:
+    tau, gap = s.torque_nm, s.gap_rad
+    table: dict[str, tuple[float, ...]] = {
+        "coulomb": (0.1 * tau, 0.3 * tau, 0.8 * tau),
+        "viscous": tuple(k * tau / s.speed_rad_s for k in (0.01, 0.05, 0.2)),
+        "stribeck": (0.05 * tau, 0.2 * tau),
+        "pre_sliding": (0.1 * tau, 0.4 * tau),
+        "asymmetric_friction": (-0.05 * tau, 0.05 * tau),
+        "position_friction": (0.05 * tau, 0.2 * tau),
+        "thermal_friction": (0.1 * tau, 0.3 * tau),
+        "load_dependent_friction": (0.03, 0.1),
+        "cogging": (0.05 * tau, 0.3 * tau),
+        "torque_ripple": (0.03,),
+        "torque_constant_error": (-0.08, -0.03, 0.03, 0.08),
+        "inertia_error": (-0.2, -0.06, 0.06, 0.2),
+        "torque_constant_droop": tuple(k / s.currents_a[0] ** 2 for k in (0.05, 0.2)),
+        "thermal_torque_constant": (0.05,),
+        "current_limit": tuple(1.0 / current for current in s.currents_a),
+        "integrator_clamp": tuple(k / s.integral_a[2] for k in (0.4, 0.7, 1.2, 2.2, 4.0)),
+        "anti_windup": (30.0, 300.0),
+        "current_loop_lag": (2e-4, 8e-4),
+        "velocity_filter_lag": (4e-4, 1.5e-3),
+        "inverter_dead_time": (0.03 * s.current_a, 0.15 * s.current_a),
+        "transport_delay": (3e-4, 1.5e-3, 5e-3),
+        "command_slew": tuple(duration / s.jump_rad_s for duration in (1e-3, 3e-3, 8e-3)),
+        "command_deadband": tuple(k * s.command_rad_s for k in (0.03, 0.1, 0.25)),
+        "command_scale": (-0.005, 0.005),
+        "command_offset": tuple(k * s.command_rad_s for k in (-0.1, -0.02, 0.02, 0.1)),
+        "clock_skew": (1e-5, 5e-5),
+        "backlash_width": (-0.2 * gap, -0.06 * gap, 0.06 * gap, 0.2 * gap),
+        "position_backlash": (0.1 * gap, 0.3 * gap),
+        "contact": (2e-3, 2e-2, 0.1),
+        "coupling_compliance": (1e-3, 5e-3, 3e-2),
+        "load_friction": (0.05 * tau, 0.3 * tau),
+        "load_torque": (-0.3 * tau, -0.05 * tau, 0.05 * tau, 0.3 * tau),
+        "gravity_imbalance": (0.1 * tau, 0.4 * tau),
+        "encoder_eccentricity": (1e-3,),
+        "misalignment": (0.03,),
+        "encoder_subdivision": (1e-4,),
+    }
+    if effect.name in table:
+        return table[effect.name]
+    prior = effect.parameters[0].prior
+    if prior.least == 0.0 < prior.low:
+        ratio = prior.high / prior.low
+        return tuple(prior.low * ratio**q for q in QUANTILES)
+    return 0.3 * prior.low, 0.3 * prior.high
+
+
+def _choices(
+    name: str, s: Scales, motor_orders: Sequence[float], load_orders: Sequence[float]
+) -> Iterator[tuple[Table, Mapping[str, Table]]]:
+    """What is not sought by steps but by trying: orders, velocities, a vehicle."""
+    vehicle = {
+        "contact": {
+            "compliance_rad_per_nm": 2e-3,
+            "load_inertia_kg_m2": LOAD_SHARE * s.inertia_kg_m2,
+        }
+    }
+    if name == "cogging":
+        yield from (({"order": float(order)}, {}) for order in motor_orders)
+    elif name == "torque_ripple":
+        yield from (
+            ({"electrical_order": float(order), "pole_pair_count": 1.0}, {})
+            for order in motor_orders
+        )
+    elif name == "encoder_subdivision":
+        yield from (({"line_order": float(order)}, {}) for order in load_orders)
+    elif name in SHARP:
+        yield from (({"transition_rad_s": 0.1}, beside) for beside in _vehicles(name, vehicle))
+    elif name == "stribeck":
+        yield from (({"stribeck_rad_s": v, "transition_rad_s": 0.1}, {}) for v in (0.15, 0.5, 2.0))
+    elif name == "pre_sliding":
+        yield from (({"breakaway_angle_rad": a}, {}) for a in (3e-5, 3e-4, 1e-3))
+    elif name == "anti_windup":
+        yield {}, {"current_limit": {"limit_per_a": 1.0 / s.currents_a[1]}}
+    elif name == "inverter_dead_time":
+        yield from (({"pole_pair_count": p}, {}) for p in (2.0, 4.0, 5.0))
+    elif name == "contact":
+        yield from (
+            ({"load_inertia_kg_m2": share * s.inertia_kg_m2}, {}) for share in (0.004, 0.05)
+        )
+    elif name == "coupling_compliance":
+        yield from (({"load_inertia_kg_m2": share * s.inertia_kg_m2}, {}) for share in (0.1, 0.3))
+    else:
+        yield from (({}, beside) for beside in _vehicles(name, vehicle))
+
+
+def _vehicles(name: str, vehicle: Mapping[str, Table]) -> Iterator[Mapping[str, Table]]:
+    """None, and for what acts on the load a load with a mass."""
+    yield {}
+    if name in ("load_friction", "load_torque", "gravity_imbalance"):
+        yield vehicle

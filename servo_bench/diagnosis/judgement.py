@@ -1,0 +1,340 @@
+"""From findings to a verdict: named, none, or unknown, and how sure.
+
+    named     every accepted cause survived, and what is left is what a right simulation may miss
+    unknown   more is left than that; or what was found cannot be (a torque line at no whole order);
+              or something stands in the data that no effect makes (a tone, wild samples)
+    none      neither
+
+Intervals come from the block sandwich (`uncertainty`): errors of a wrong model hang together, and
+a white-noise formula would be too sure. Confidence was calibrated on trials of another plant.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from servo_bench.diagnosis.classes import class_of, splitting
+from servo_bench.diagnosis.comparison import Comparison, compare
+from servo_bench.diagnosis.evidence import block_z
+from servo_bench.diagnosis.finding import Finding, Named
+from servo_bench.diagnosis.free import unit_of
+from servo_bench.diagnosis.rows import Array, Mask
+from servo_bench.diagnosis.seeking import Found
+from servo_bench.diagnosis.verdict import Cause, ErrorFigures, Kind, Limit, Quantity, Verdict
+from sim_rig.effects import find_effect
+from sim_rig.model import Model
+
+RIGHT = 1.1
+"""Largest misfit, in what a right simulation may miss, of a simulation that is called right."""
+FAR_BETTER, NEARLY_RIGHT = 15.0, 2.5
+"""So many times better than before, and so near, is explained too: what remains is noted."""
+WHOLE = 0.12
+"""How far from a whole number the order of a torque line on the motor's own shaft may be."""
+FEWEST_WILD = 3
+FEWEST_LOST = 2
+FULL_TURN = 2.0 * np.pi
+RIVAL_Z, LIKE = 3.0, 0.8
+DETECTION = np.sqrt(20.9)
+"""Standard deviations of a size that is seen nine times in ten at a false alarm of 1e-3 (df 1)."""
+
+
+def verdict_of(finding: Finding) -> Verdict:
+    """The verdict, without words on the signature."""
+    strange = tuple(_strange(finding))
+    causes = tuple(_causes(finding))
+    explained = _explained(finding) and not strange
+    kind: Kind = "named" if causes and explained else "none" if explained else "unknown"
+    named = causes if kind == "named" else ()
+    notes = [*finding.notes, *_absorbed(finding)]
+    if kind == "unknown" and causes:
+        notes.append(
+            f"It resembles {', '.join(c.effect for c in causes)}, which does not explain it."
+        )
+    model = finding.final.model if causes else finding.base.model
+    error = _error(finding, model)
+    return Verdict(
+        verdict=kind,
+        sentence=_sentence(kind, named, strange, error, causes),
+        causes=named,
+        error=error,
+        limit=tuple(_limits(finding, named)),
+        notes=tuple(notes) + strange,
+        undecided=tuple(_undecided(finding)),
+        next_run=next((c.splitting_experiment for c in named if c.splitting_experiment), ""),
+        nominal=_nominal(model),
+        effects={name: dict(table) for name, table in model.to_table().items() if table},
+        nuisances=_nuisances(finding),
+        seconds=finding.seconds,
+    )
+
+
+def _strange(finding: Finding) -> Iterator[str]:
+    """What no effect of the catalogue makes, in sentences."""
+    if finding.tone is not None:
+        yield (
+            f"A tone of {finding.tone.frequency_hz:.2f} Hz stands in the load's error, "
+            f"{finding.tone.amplitude_rad:.2g} rad: it comes from outside of the rig's own motion."
+        )
+    if finding.wild >= FEWEST_WILD:
+        yield (
+            f"{finding.wild} load samples are wrong alone, by more than any state of the gap "
+            "allows: look at the encoder's line."
+        )
+    turning = any(n.effect in ("cogging", "torque_ripple") for n in finding.named)
+    line = finding.motor_lines[0] if finding.motor_lines and turning else None
+    if line is not None and abs(line.order - round(line.order)) > WHOLE:
+        yield (
+            f"A torque line stands at {line.order:.2f} periods a revolution of the motor: no whole "
+            "number, so nothing on the motor's own shaft makes it (a gear's mesh would)."
+        )
+
+
+def _explained(finding: Finding) -> bool:
+    """Whether what is left is what a right simulation may miss."""
+    after, before = float(finding.misfit_after.max()), float(finding.misfit_before.max())
+    return after <= RIGHT or (before > FAR_BETTER * after and after <= NEARLY_RIGHT)
+
+
+def _causes(finding: Finding) -> Iterator[Cause]:
+    numbers = _quantities(finding.final)
+    for one in finding.named:
+        yield _cause(one, numbers)
+    if len(finding.lost.rows) >= FEWEST_LOST:
+        low, high = finding.lost.interval
+        yield Cause(
+            effect="missed_samples",
+            parameters={
+                "miss_probability": Quantity(
+                    value=finding.lost.probability,
+                    unit="1",
+                    ci95=(low, high),
+                    standard_error=(high - low) / 3.92,
+                )
+            },
+            confidence=0.97,
+        )
+    if finding.lattice is not None:
+        step, error = finding.lattice.quantum_rad, finding.lattice.standard_error_rad
+        yield Cause(
+            effect="quantisation",
+            parameters={
+                "count_rad": Quantity(
+                    value=step,
+                    unit="rad",
+                    ci95=(step - 1.96 * error, step + 1.96 * error),
+                    standard_error=error,
+                )
+            },
+            confidence=0.97,
+        )
+
+
+def _cause(one: Named, numbers: dict[str, Quantity]) -> Cause:
+    contenders = one.round.contenders
+    rivals = [c for c in contenders if c is not one.contender]
+    members = class_of(one.effect) - {one.effect}
+    near = {
+        c.effect
+        for c in rivals
+        if block_z(one.contender.costs, c.costs) < RIVAL_Z
+        and one.round.likeness(one.contender, c) > LIKE
+    }
+    others = [c for c in rivals if c.effect not in members]
+    rival = min(others, key=lambda c: c.total) if others else None
+    over = block_z(one.contender.costs, rival.costs) if rival is not None else None
+    evidence = block_z(one.contender.costs, one.round.base_costs)
+    ambiguous = tuple(sorted(members | near))
+    prefix = f"{one.effect}."
+    return Cause(
+        effect=one.effect,
+        parameters={
+            name.removeprefix(prefix): q for name, q in numbers.items() if name.startswith(prefix)
+        },
+        confidence=confidence(evidence, over, one.round.screened[0].gain),
+        ambiguous_with=ambiguous,
+        splitting_experiment=splitting({one.effect, *ambiguous}) if ambiguous else "",
+        evidence=evidence,
+        rival=rival.effect if rival is not None else None,
+        over_rival=over,
+    )
+
+
+def confidence(evidence: float, over_rival: float | None, screened_gain: float) -> float:
+    """Probability that the class is right, from how far it leads and how much there was to find."""
+    lead = 12.0 if over_rival is None else min(max(over_rival, 0.0), 12.0)
+    score = 0.3 + 0.12 * lead + 0.06 * min(evidence, 20.0) + 2.0 * min(screened_gain, 0.5)
+    return float(1.0 / (1.0 + np.exp(-score)))
+
+
+def _quantities(found: Found) -> dict[str, Quantity]:
+    """Every fitted number with its interval."""
+    deviations = standard_errors(found)
+    names = {}
+    for unknown, value, deviation in zip(found.unknowns, found.values, deviations, strict=True):
+        error = min(float(deviation), 1e6 * max(abs(float(value)), unknown.step))
+        names[unknown.name] = Quantity(
+            value=float(value),
+            unit=unit_of(unknown.field),
+            ci95=(float(value) - 1.96 * error, float(value) + 1.96 * error),
+            standard_error=error,
+        )
+    return names
+
+
+def standard_errors(found: Found) -> Array:
+    """Block sandwich, shape (numbers,); see `uncertainty`."""
+    white = found.errors.white(found.sigma)
+    beyond = 1.0 + (white / 2.0) ** 2
+    rows = found.jacobian
+    curvature = rows.T @ (rows * (beyond**-1.5)[:, None])
+    precision = np.diag([u.deviation**-2.0 for u in found.unknowns])
+    group = np.tile(found.errors.group, found.errors.rows.shape[0])
+    blocks = int(group.max(initial=0)) + 1
+    scores = rows * (white / np.sqrt(beyond))[:, None]
+    sums = np.stack([np.bincount(group, column, blocks) for column in scores.T], axis=1)
+    meat = sums.T @ sums * (blocks / max(blocks - len(found.unknowns), 1))
+    inverse = _inverse(curvature + precision)
+    return np.sqrt(np.maximum(np.diag(inverse @ (meat + precision) @ inverse), 0.0))
+
+
+def _inverse(matrix: Array) -> Array:
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    scaled = matrix / np.outer(size, size)
+    values, vectors = np.linalg.eigh(scaled)
+    wide = np.maximum(values, 1e-10 * max(float(values[-1]), 1e-10))
+    return np.asarray((vectors / wide) @ vectors.T / np.outer(size, size))
+
+
+def cramer_rao(found: Found) -> Array:
+    """Least standard deviations of an unbiased estimate at the errors that are left; (numbers,)."""
+    return np.sqrt(np.maximum(np.diag(_inverse(found.jacobian.T @ found.jacobian)), 0.0))
+
+
+def _limits(finding: Finding, causes: Sequence[Cause]) -> Iterator[Limit]:
+    names = [u.name for u in finding.final.unknowns]
+    bound, reached = cramer_rao(finding.final), standard_errors(finding.final)
+    for cause in causes:
+        strength = find_effect(cause.effect).strengths[0]
+        name = f"{cause.effect}.{strength}"
+        if name not in names:
+            continue
+        k = names.index(name)
+        yield Limit(
+            effect=cause.effect,
+            parameter=strength,
+            unit=unit_of(strength),
+            detectable=float(DETECTION * reached[k]),
+            cramer_rao=float(bound[k]),
+            ratio=float(reached[k] / bound[k]) if bound[k] > 0.0 else None,
+        )
+
+
+def _error(finding: Finding, model: Model) -> ErrorFigures | None:
+    """rms of the first signal on data that no fit saw, before and after."""
+    judge = finding.held_out or finding.recordings[0]
+    whole = finding.held_out is not None
+    comparison = compare(judge, finding.nominal, finding.whole.fitted[0].block)
+    where = comparison.seen | comparison.held_out if whole else comparison.held_out
+    before, after = (_rms(comparison, m, where) for m in (finding.nominal, model))
+    floor = comparison.signals[0].floor
+    explainable = before**2 - floor**2
+    share = (before**2 - after**2) / explainable if explainable > 0.0 else 0.0
+    return ErrorFigures(
+        before=before,
+        after=after,
+        noise_floor=floor,
+        share_explained=float(np.clip(share, 0.0, 1.0)),
+        signal=comparison.signals[0].name,
+        unit=comparison.signals[0].unit,
+    )
+
+
+def _rms(comparison: Comparison, model: Model, where: Mask) -> float:
+    return float(comparison.rms(comparison.errors_of([model])[0], where)[0])
+
+
+def _absorbed(finding: Finding) -> Iterator[str]:
+    for effect in dict.fromkeys(finding.absorbed):
+        strength = find_effect(effect).strengths[0]
+        params = finding.final.model.effects.get(effect)
+        if params is not None:
+            value = float(getattr(params, strength))
+            yield (
+                f"{effect} is there too, {strength} = {value:.2g}: too small on this rig to be "
+                "worth a name."
+            )
+
+
+def _undecided(finding: Finding) -> Iterator[str]:
+    first = finding.recordings[0]
+    if "motor_position_rad" not in first:
+        yield (
+            "Without the motor's encoder and current, causes in the motor and in its drive are "
+            "told apart by what reaches the load only."
+        )
+    if "load_angle_rad" in first and 0.0 < _travel(first["load_angle_rad"]) < FULL_TURN:
+        yield (
+            "The load made less than a full turn: what repeats with its angle (eccentricity, "
+            "weight, misalignment) cannot be told from what does not. Add a bias to the excitation."
+        )
+
+
+def _travel(angle: Array) -> float:
+    known = angle[np.isfinite(angle)]
+    return float(np.ptp(known)) if known.size else 0.0
+
+
+def _nominal(model: Model) -> dict[str, float]:
+    nominal = model.nominal
+    return {name: float(getattr(nominal, name)) for name in nominal.__dataclass_fields__}
+
+
+def _nuisances(finding: Finding) -> dict[str, float]:
+    named = {n.effect for n in finding.named}
+    return {
+        u.name: float(v)
+        for u, v in zip(finding.final.unknowns, finding.final.values, strict=True)
+        if u.effect not in named
+    }
+
+
+def _sentence(
+    kind: str,
+    named: Sequence[Cause],
+    strange: Sequence[str],
+    error: ErrorFigures | None,
+    tried: Sequence[Cause],
+) -> str:
+    gain = ""
+    if error is not None and kind == "named":
+        gain = (
+            " With it the simulation's error on data that no fit saw falls from "
+            f"{error.before:.3g} to {error.after:.3g} {error.unit}, "
+            f"{100 * error.share_explained:.0f} % of what can be explained."
+        )
+    if kind == "named":
+        told = " and ".join(_told(c) for c in named)
+        return f"The simulation lacks {told}.{gain}"
+    if kind == "none":
+        return (
+            "Nothing is wrong with the simulation beyond what every rig has beside its drawing: no "
+            "effect of the catalogue is needed."
+        )
+    if strange:
+        return f"Something is wrong that the catalogue does not have. {strange[0]}"
+    like = f" It comes nearest to {tried[0].effect}." if tried else ""
+    return (
+        "The simulation is wrong by more than its usual floor, and no effect of the catalogue "
+        f"explains it.{like}"
+    )
+
+
+def _told(cause: Cause) -> str:
+    strength = find_effect(cause.effect).strengths[0]
+    quantity = cause.parameters.get(strength)
+    size = ""
+    if quantity is not None:
+        unit = f" {quantity.unit}" if quantity.unit != "1" else ""
+        size = f" ({quantity.value:.3g} ± {1.96 * quantity.standard_error:.1g}{unit})"
+    others = f", or {' or '.join(cause.ambiguous_with)}" if cause.ambiguous_with else ""
+    return f"{cause.effect.replace('_', ' ')}{size}{others.replace('_', ' ')}"

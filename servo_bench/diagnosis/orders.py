@@ -1,0 +1,229 @@
+"""Which orders (periods a revolution) stand in an error: of the motor's shaft, and of the load's.
+
+On the motor a wave d = exp(j n theta) of torque reaches the speed and the current through the
+nominal loop,
+
+    w(s) = s/(J s^2 + K_T K_P s + K_T K_I) d(s),      i(s) = -(K_P + K_I/s) w(s),
+
+so every order, whole or not, is one filtered template. On the load a sensor's wave is in the angle
+as it is. A line counts where the share of the error that it explains is beyond chance.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import median_filter
+from scipy.signal import cont2discrete, lfilter
+
+from servo_bench.diagnosis.comparison import Comparison
+from servo_bench.diagnosis.rows import Array
+from sim_rig.model import Model
+
+FINE_S = 2e-3
+MOST_ROWS = 2500
+LOWEST_MOTOR, HIGHEST_MOTOR = 2.6, 100.0
+"""Below are weight, eccentricity and misalignment, which have effects of their own."""
+HIGHEST_LOAD = 4200
+SMOOTH_ROWS = 25
+USUAL = (6.0, 8.0, 10.0, 12.0, 24.0)
+"""Orders that are tried where no line stands out."""
+STANDS_OUT = 25.0
+"""Explained over mean residual variance, of two degrees of freedom: exp(-12.5) by chance."""
+LOAD_STANDS_OUT = 90.0
+"""Of a load line: bounces in the gap make lines by chance up to 70 among the 4184 orders."""
+TONE = 60.0
+"""Power of a line in time over its surroundings: exp(-60) by chance, and models are not perfect."""
+
+
+class OrderLine(NamedTuple):
+    """One line: its order, its share of the error's variance, and how far it stands out."""
+
+    order: float
+    share: float
+    height: float
+
+
+def motor_lines(comparison: Comparison, model: Model, most: int = 3) -> tuple[OrderLine, ...]:
+    """The strongest torque lines of the motor's shaft, strongest first; () where nothing stands."""
+    if comparison.block != "loop":
+        return ()
+    rows, piece = comparison.source.rows, comparison.pieces[0].piece
+    piece = piece._replace(last=min(piece.last, piece.first + MOST_ROWS))
+    period_s = rows.period_s
+    fine = max(1, round(period_s / FINE_S))
+    commands = np.repeat(rows.channel("velocity_command_rad_s")[piece.rows], fine)
+    durations = np.repeat(rows.durations_s[piece.rows] / fine, fine)
+    start = model.state(motor_angle_rad=piece.motor_angle_rad, load_angle_rad=piece.motor_angle_rad)
+    angle = model.simulate(commands, durations, start).motor_angle_rad
+    targets = _targets(comparison, model, piece.last - piece.first - 1)
+    turns = max(float(np.ptp(angle)) / (2.0 * np.pi), 0.25)
+    step = float(np.clip(0.2 / turns, 0.02, 0.25))
+    grid = np.arange(LOWEST_MOTOR, HIGHEST_MOTOR, step)
+    respond = _Response(model, period_s / fine, fine)
+    coarse = np.array([_height(respond.templates(angle, n, targets), targets) for n in grid[::2]])
+    found: list[OrderLine] = []
+    for place in np.argsort(-coarse[:, 1])[:8]:
+        centre = grid[::2][place]
+        near = centre + step * np.linspace(-2.0, 2.0, 9)
+        heights = [_height(respond.templates(angle, n, targets), targets) for n in near]
+        best = int(np.argmax([h for _, h in heights]))
+        line = OrderLine(float(near[best]), *map(float, heights[best]))
+        width = max(1.0 / turns, 0.3)
+        if line.height > STANDS_OUT and all(abs(line.order - f.order) > width for f in found):
+            found.append(line)
+    return tuple(sorted(found, key=lambda f: -f.share)[:most])
+
+
+class _Target(NamedTuple):
+    kind: str
+    values: Array
+    known: Array
+
+
+def _targets(comparison: Comparison, model: Model, points: int) -> list[_Target]:
+    """Whitened errors over one row: motor (or load) velocity, and torque."""
+    errors = comparison.errors(model)
+    targets = []
+    quick = [s for s in comparison.signals if s.increments and s.stride == 1]
+    wanted = next((s for s in quick if s.channel == "motor_position_rad"), quick[0])
+    for signal, row in zip(comparison.signals, errors, strict=True):
+        torque = not signal.increments and signal.simulated == "current_a"
+        if signal is not wanted and not torque:
+            continue
+        known = np.isfinite(row) & np.isfinite(comparison.measured[0]) & comparison.seen
+        sigma = max(signal.floor, 1.4826 * float(np.median(np.abs(row[known]))))
+        scale = sigma / signal.factor if torque else sigma
+        values = np.clip(np.where(known, row, 0.0) / sigma, -4.0, 4.0)[:points]
+        weight = (known / scale)[:points]
+        targets.append(_Target("current" if torque else "velocity", values, weight))
+    return targets
+
+
+class _Response:
+    """Templates of one order at the rows of a comparison."""
+
+    def __init__(self, model: Model, step_s: float, fine: int) -> None:
+        n = model.nominal
+        self.k_p, self.k_i = n.proportional_gain_a_s_per_rad, n.integral_gain_a_per_rad
+        loop = n.inertia_kg_m2, n.torque_constant_nm_per_a * self.k_p
+        below = (*loop, n.torque_constant_nm_per_a * self.k_i)
+        self.angle = self._discrete([1.0], below, step_s)
+        self.speed = self._discrete([1.0, 0.0], below, step_s)
+        self.step_s, self.fine = step_s, fine
+
+    @staticmethod
+    def _discrete(
+        top: Sequence[float], below: Sequence[float], step_s: float
+    ) -> tuple[Array, Array]:
+        b, a, _ = cont2discrete((np.array(top), np.array(below)), step_s, method="bilinear")
+        return np.asarray(b).ravel(), np.asarray(a).ravel()
+
+    def templates(self, angle: Array, order: float, targets: Sequence[_Target]) -> Array:
+        """Whitened, shape (points of all targets,), complex."""
+        wave = np.exp(1j * order * angle)
+        turned = lfilter(*self.angle, wave)
+        at_rows = turned[:: self.fine]
+        parts = []
+        for target in targets:
+            if target.kind == "velocity":
+                rate = np.diff(at_rows) / (self.fine * self.step_s)
+                parts.append(rate[: target.values.size] * target.known)
+            else:
+                speed = lfilter(*self.speed, wave)[:: self.fine]
+                current = -(self.k_p * speed + self.k_i * at_rows)[1:]
+                parts.append(current[: target.values.size] * target.known)
+        return np.concatenate(parts)
+
+
+def _height(template: Array, targets: Sequence[_Target]) -> tuple[float, float]:
+    """Share of the variance that sine and cosine explain, and that over what chance would."""
+    values = np.concatenate([t.values for t in targets])
+    return _explained(template, values)
+
+
+def _explained(template: Array, values: Array) -> tuple[float, float]:
+    terms = np.stack((template.real, template.imag))
+    gram = terms @ terms.T
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    seen = terms @ values / size
+    gram = gram / np.outer(size, size) + 1e-9 * np.eye(2)
+    explained = float(seen @ np.linalg.solve(gram, seen))
+    total = float(values @ values)
+    points = max(int(np.count_nonzero(values)), 1)
+    left = max(total - explained, 1e-300) / points
+    return explained / max(total, 1e-300), explained / left
+
+
+def load_lines(comparison: Comparison, model: Model, most: int = 3) -> tuple[OrderLine, ...]:
+    """The strongest lines of high order in the load's own angle, whole orders only."""
+    rows, piece = comparison.source.rows, comparison.pieces[0].piece
+    if not rows.has("load_angle_rad"):
+        return ()
+    shown = comparison.source.play(model, piece)
+    angle = rows.channel("load_angle_rad")[piece.rows]
+    error = angle - np.asarray(shown["load_angle_rad"])
+    if rows.has("motor_position_rad"):
+        motor = rows.channel("motor_position_rad")[piece.rows]
+        error = error - (motor - np.asarray(shown["motor_position_rad"]))
+    known = np.isfinite(error) & rows.seen[piece.rows]
+    if known.sum() < 4 * SMOOTH_ROWS:
+        return ()
+    error, angle = error[known], angle[known]
+    quick = error - median_filter(error, SMOOTH_ROWS)
+    sigma = max(1.4826 * float(np.median(np.abs(quick))), 1e-12)
+    values = np.clip(quick / sigma, -4.0, 4.0)
+    orders = np.arange(16.0, HIGHEST_LOAD)
+    heights = np.concatenate(
+        [_heights(part, angle, values) for part in np.array_split(orders, orders.size // 256)]
+    )
+    turns = max(float(np.ptp(angle)) / (2.0 * np.pi), 0.25)
+    found: list[OrderLine] = []
+    for place in np.argsort(-heights)[:40]:
+        order, height = float(orders[place]), float(heights[place])
+        apart = all(abs(order - f.order) > max(3.0, 2.0 / turns) for f in found)
+        if height > LOAD_STANDS_OUT and apart:
+            found.append(OrderLine(order, height / values.size, height))
+    return tuple(found[:most])
+
+
+class Tone(NamedTuple):
+    """A line in time: its frequency, amplitude in the load's angle, and how far it stands out."""
+
+    frequency_hz: float
+    amplitude_rad: float
+    height: float
+
+
+def tone(comparison: Comparison, model: Model) -> Tone | None:
+    """The strongest line in time of the load's (or twist's) error, where one stands out.
+
+    An excitation without periods within the record makes no such line, nor does any effect: it
+    comes from elsewhere.
+    """
+    levels = [k for k, s in enumerate(comparison.signals) if s.level]
+    if not levels or len(comparison.pieces) > 1:
+        return None
+    error = comparison.errors(model)[levels[0]]
+    known = np.isfinite(error) & comparison.seen
+    if known.sum() < 512:
+        return None
+    sigma = max(1.4826 * float(np.median(np.abs(error[known]))), 1e-12)
+    quick = np.where(known, error, 0.0)
+    quick = np.clip(quick - median_filter(quick, SMOOTH_ROWS), -3.0 * sigma, 3.0 * sigma)
+    window = np.hanning(quick.size)
+    power = np.abs(np.fft.rfft(quick * window)) ** 2
+    about = median_filter(power, 101, mode="nearest") / np.log(2.0)
+    height = power / np.maximum(about, 1e-300)
+    best = int(np.argmax(height[8:])) + 8
+    if height[best] < TONE:
+        return None
+    amplitude = 2.0 * float(np.sqrt(power[best])) / float(window.sum())
+    frequency = best / (quick.size * comparison.source.rows.period_s)
+    return Tone(frequency, amplitude, float(height[best]))
+
+
+def _heights(orders: Array, angle: Array, values: Array) -> Array:
+    """|sum of the error against a wave|^2 over what white noise would give, for each order."""
+    waves = np.exp(-1j * np.outer(orders, angle))
+    return np.asarray(2.0 * np.abs(waves @ values) ** 2 / float(values @ values))

@@ -1,0 +1,225 @@
+"""One cause after another: screen, fit the best, let them compete, accept or stop.
+
+round     screen every hypothesis on the recording's beginning -> fit the most promising on it
+          -> weigh all by what the best one leaves -> refit -> best against its rivals, by the
+          cost of all blocks, those that no fit saw among them
+accepted  beyond the gate (see `gate`): becomes part of the base, its numbers stay free
+at last   every accepted cause is taken away once; one whose absence costs less than the gate
+          is dropped (backward deletion)
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from servo_bench.diagnosis.evidence import Errors, Evidence, block_z
+from servo_bench.diagnosis.hypotheses import Hypothesis
+from servo_bench.diagnosis.rows import Array
+from servo_bench.diagnosis.screening import Screened, screen
+from servo_bench.diagnosis.seeking import Found, seek
+from servo_bench.diagnosis.unknowns import Unknown
+from servo_bench.errors import FitError
+from sim_rig.effects import find_effect
+from sim_rig.errors import SimRigError
+
+FITTED = 4
+"""Hypotheses that are fitted in a round, at most."""
+WORTH = 0.15
+"""Screened gain, as a share of the best one's, below which nothing is fitted."""
+LEAST_GAIN = 0.001
+WORTH_ANYHOW = 0.05
+STARTS = (1.0, 0.5, 0.25, 2.0)
+ALIKE, AS_GOOD = 0.95, 0.04
+"""Contenders that change the same, and of which none gains so much more, are told apart by how
+much they assume: the one with fewer free numbers and the shorter law is taken."""
+MOST_CAUSES = 3
+Told = Callable[[str], None]
+REFINES = {"pre_sliding": "coulomb", "thermal_friction": "coulomb", "stribeck": "coulomb"}
+"""Friction of its own kind that Coulomb friction does nearly as well."""
+CLEARLY = 4.0
+SHORTEST_BRISTLE_RAD = 2e-5
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A hypothesis fitted beside the base, and what it gains there.
+
+    `seen_z`, `held_z`: advantage over the base in block scatter; `held_gain`: share of the base's
+    held-out cost that goes; `costs`: all blocks, seen and held out.
+    """
+
+    hypothesis: Hypothesis
+    found: Found
+    held: Errors
+    seen_z: float
+    held_z: float
+    seen_gain: float
+    held_gain: float
+    costs: Array
+
+    @property
+    def effect(self) -> str:
+        """The effect's name."""
+        return self.hypothesis.effect
+
+    @property
+    def total(self) -> float:
+        """The cost of everything."""
+        return float(self.costs.sum())
+
+
+@dataclass(frozen=True)
+class Round:
+    """What one round found: the base, contenders from the best, and all that was screened."""
+
+    base: Found
+    base_held: Errors
+    base_costs: Array
+    sigma: Array
+    contenders: tuple[Contender, ...]
+    screened: tuple[Screened, ...]
+
+    def likeness(self, one: Contender, other: Contender) -> float:
+        """Cosine between what two contenders change in the base's error."""
+        here = self.base.errors.white(self.sigma)
+        a = one.found.errors.white(self.sigma) - here
+        b = other.found.errors.white(self.sigma) - here
+        size = float(np.linalg.norm(a) * np.linalg.norm(b))
+        return float(a @ b) / size if size > 0.0 else 0.0
+
+
+def play_round(
+    quick: Evidence,
+    base: Found,
+    hypotheses: Sequence[Hypothesis],
+    sizes: Mapping[str, float],
+    told: Told,
+) -> Round:
+    """Screen and fit. Contenders may be empty: then nothing promised anything.
+
+    `sizes` are those below which an effect is worth no name: what promises little, and is so small,
+    is not fitted.
+    """
+    told("screening")
+    screened = screen(quick, base, hypotheses)
+    able = [s for s in screened if s.gain > WORTH_ANYHOW or s.trial.size > _most(s, sizes)]
+    worth = [s for s in able if s.gain > max(LEAST_GAIN, WORTH * able[0].gain)][:FITTED]
+    worth += [s for s in able if s.hypothesis.effect in _plain(worth)]
+    first: list[tuple[Screened, Found]] = []
+    for one in worth:
+        told(f"fitting {one.hypothesis.effect}")
+        try:
+            first.append((one, _fitted(quick, base, one)))
+        except FitError:
+            continue
+    if not first:
+        judged = quick.held_out([base.model])[0]
+        costs = _all_costs(base.errors, judged, base.sigma)
+        return Round(base, judged, costs, base.sigma, (), screened)
+    best = min(first, key=lambda pair: pair[1].cost)[1]
+    sigma = best.errors.deviation(quick.floors)
+    told("comparing")
+    ranked = sorted(first, key=lambda pair: pair[1].cost)
+    near = ranked[:3]
+    plain = _plain([one for one, _ in near])
+    near += [pair for pair in ranked[3:] if pair[0].hypothesis.effect in plain]
+    again = [
+        (one, seek(quick, f.model, f.unknowns, sigma, iterations=3, first=1)) for one, f in near
+    ]
+    rested = seek(quick, base.model, base.unknowns, sigma, iterations=2, first=2)
+    held = quick.held_out([rested.model, *(f.model for _, f in again)])
+    base_costs = _all_costs(rested.errors, held[0], sigma)
+    contenders = [
+        _contender(one.hypothesis, f, h, _Beside(rested, held[0], sigma))
+        for (one, f), h in zip(again, held[1:], strict=True)
+    ]
+    contenders.sort(key=lambda c: c.total)
+    played = Round(rested, held[0], base_costs, sigma, tuple(contenders), screened)
+    return replace(played, contenders=_simplest_first(played))
+
+
+def _simplest_first(played: Round) -> tuple[Contender, ...]:
+    """The best one, unless a simpler one does the same as well."""
+    best = played.contenders[0]
+    gained = float(played.base_costs.sum()) - best.total
+    alike = [
+        c
+        for c in played.contenders
+        if played.likeness(best, c) > ALIKE
+        and c.total - best.total < AS_GOOD * gained
+        and (block_z(best.costs, c.costs) < CLEARLY or _degenerate(best))
+    ]
+    first = min(alike, key=lambda c: _assumes(c.effect)) if alike else best
+    return (first, *(c for c in played.contenders if c is not first))
+
+
+def _degenerate(contender: Contender) -> bool:
+    """Whether bristles so short that they only slide: Coulomb friction by another name."""
+    params = contender.found.model.effects[contender.effect]
+    return float(getattr(params, "breakaway_angle_rad", 1.0)) < SHORTEST_BRISTLE_RAD
+
+
+def _assumes(effect: str) -> tuple[int, int]:
+    """Free numbers, memory, and parameters: how much a hypothesis assumes."""
+    found = find_effect(effect)
+    memory = len(found.memory._fields) if found.memory is not None else 0
+    return memory, len(found.parameters)
+
+
+def _plain(found: Sequence[Screened]) -> set[str]:
+    """What those that are there must beat: the plain cause that they refine."""
+    names = {s.hypothesis.effect for s in found}
+    return {REFINES[name] for name in names if name in REFINES} - names
+
+
+def _most(one: Screened, sizes: Mapping[str, float]) -> float:
+    """Sizes below are not fitted: a template tells a size to within a factor."""
+    return 0.6 * sizes.get(one.hypothesis.effect, 0.0)
+
+
+def _fitted(quick: Evidence, base: Found, one: Screened) -> Found:
+    """From the best of a few sizes: what a template foretells is often too much."""
+    unknowns = merged(base.unknowns, one.hypothesis.unknowns(base.model, one.trial))
+    models = []
+    for share in STARTS:
+        try:
+            models.append(one.trial.times(share).on(base.model))
+        except SimRigError:
+            continue
+    costs = [errors.cost(base.sigma) for errors in quick.seen(models)]
+    model = models[int(np.argmin(costs))]
+    return seek(quick, model, unknowns, base.sigma, iterations=2)
+
+
+def merged(old: Sequence[Unknown], new: Sequence[Unknown]) -> tuple[Unknown, ...]:
+    """The old ones, less those that the new ones stand for, and the new ones."""
+    names = {u.name for u in new}
+    return (*(u for u in old if u.name not in names), *new)
+
+
+class _Beside(NamedTuple):
+    """What contenders are compared with."""
+
+    base: Found
+    held: Errors
+    sigma: Array
+
+
+def _contender(hypothesis: Hypothesis, found: Found, held: Errors, beside: _Beside) -> Contender:
+    base, sigma = beside.base, beside.sigma
+    return Contender(
+        hypothesis=hypothesis,
+        found=found,
+        held=held,
+        seen_z=block_z(found.errors.costs(sigma), base.errors.costs(sigma)),
+        held_z=block_z(held.costs(sigma), beside.held.costs(sigma)),
+        seen_gain=1.0 - found.errors.cost(sigma) / base.errors.cost(sigma),
+        held_gain=1.0 - held.cost(sigma) / beside.held.cost(sigma),
+        costs=_all_costs(found.errors, held, sigma),
+    )
+
+
+def _all_costs(seen: Errors, held: Errors, sigma: Array) -> Array:
+    return np.concatenate([seen.costs(sigma), held.costs(sigma)])

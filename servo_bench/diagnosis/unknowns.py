@@ -1,0 +1,116 @@
+"""What is sought in a fit, and what is believed of it before.
+
+Some numbers of every rig are a little wrong, and no cause worth naming: the nuisances. Each may
+move within a band about zero, sized by the rig itself (tau, omega: rms torque and speed that this
+excitation asks of the nominal rig), and is freed in every fit:
+
+    coulomb                 0 .. 4 % of tau            current_loop_lag      0 .. 0.1 ms
+    viscous                 0 .. 0.5 % of tau/omega    velocity_filter_lag   0 .. 0.25 ms
+    torque_constant_error   -1 .. 1 %                  transport_delay       0 .. 0.13 ms
+    inertia_error           -1 .. 1 %                  backlash_width        -1 .. 1 mrad, 5 %
+
+A cause of the same name is one that leaves its band.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from servo_bench.diagnosis.free import FreeParameter, free_parameters
+from sim_rig.effects import find_effect
+from sim_rig.model import Model
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """One number that is sought between `low` and `high`, in steps of `step`.
+
+    `centre` and `deviation` are what is believed; an infinite deviation believes nothing.
+    """
+
+    effect: str
+    field: str
+    low: float
+    high: float
+    step: float
+    centre: float = 0.0
+    deviation: float = np.inf
+    circular: bool = False
+
+    @property
+    def name(self) -> str:
+        """`cogging.torque_nm`."""
+        return f"{self.effect}.{self.field}"
+
+    def of(self, model: Model) -> float:
+        """Its value there."""
+        params = model.effects.get(self.effect, find_effect(self.effect).params())
+        return float(getattr(params, self.field))
+
+    def put(self, model: Model, value: float) -> Model:
+        """The model with another value."""
+        params = model.effects.get(self.effect, find_effect(self.effect).params())
+        changed = params._replace(**{self.field: value})
+        return replace(model, effects={**model.effects, self.effect: changed})
+
+
+def nuisances(torque_rms_nm: float, speed_rms_rad_s: float, gap_rad: float) -> tuple[Unknown, ...]:
+    """The bands of every rig, for this excitation."""
+    torque = 0.04 * torque_rms_nm
+    damping = 0.005 * torque_rms_nm / max(speed_rms_rad_s, 1e-9)
+    gap = min(1e-3, 0.05 * gap_rad)
+    bands = (
+        ("coulomb", "torque_nm", 0.0, torque),
+        ("viscous", "damping_nm_s_per_rad", 0.0, damping),
+        ("current_loop_lag", "lag_s", 0.0, 1e-4),
+        ("velocity_filter_lag", "lag_s", 0.0, 2.5e-4),
+        ("transport_delay", "delay_s", 0.0, 1.3e-4),
+        ("torque_constant_error", "error_fraction", -0.01, 0.01),
+        ("inertia_error", "error_fraction", -0.01, 0.01),
+        *((("backlash_width", "change_rad", -gap, gap),) if gap > 0.0 else ()),
+    )
+    return tuple(_band(*band) for band in bands)
+
+
+def _band(effect: str, field: str, low: float, high: float) -> Unknown:
+    return Unknown(
+        effect,
+        field,
+        low,
+        high,
+        step=0.5 * high,
+        centre=0.5 * (low + high),
+        deviation=high if low < 0.0 else 0.5 * high,
+    )
+
+
+def widened(effect: str, fields: Sequence[str], model: Model, size: float) -> tuple[Unknown, ...]:
+    """These parameters of an effect, free over all that has a meaning; `size` sets the steps."""
+    found = free_parameters(_on(model, effect), [f"{effect}.{field}" for field in fields])
+    return tuple(_wide(p, effect, size) for p in found)
+
+
+def _on(model: Model, effect: str) -> Model:
+    """The model with the effect's sample, so that every parameter acts."""
+    return model.with_effect(effect, **dict(find_effect(effect).sample))
+
+
+def _wide(parameter: FreeParameter, effect: str, size: float) -> Unknown:
+    if parameter.circular:
+        return Unknown(effect, parameter.field, -np.inf, np.inf, step=0.5, circular=True)
+    prior = next(p.prior for p in find_effect(effect).parameters if p.name == parameter.field)
+    low = max(prior.least, 0.0) if prior.least >= 0.0 else -10.0 * abs(prior.low)
+    if prior.above > -np.inf:
+        low = max(0.2 * prior.low, prior.above)
+    high = min(prior.most, 10.0 * prior.high)
+    step = 0.3 * size if parameter.is_strength else 0.3 * parameter.centre
+    step = abs(step) or 0.1 * (prior.high - prior.low)
+    return Unknown(effect, parameter.field, max(low, prior.least), high, step=step)
+
+
+def put_all(model: Model, unknowns: Sequence[Unknown], values: Sequence[float]) -> Model:
+    """The model with all of them."""
+    for unknown, value in zip(unknowns, values, strict=True):
+        model = unknown.put(model, float(value))
+    return model

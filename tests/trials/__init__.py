@@ -1,0 +1,1 @@
+"""Hidden-effect trials: what is hidden, how it is recorded, what is right, and what came of it."""

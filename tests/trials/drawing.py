@@ -1,0 +1,131 @@
+"""A trial's question: from a seed, what is hidden, in which rig, and what is played.
+
+    Question(seed=7)                                   one effect of the truth's catalogue
+    Question(seed=7, kind="none")                      nothing: it must be told so
+    Question(seed=7, kind="outside")                   a cause that the diagnoser lacks
+    Question(seed=7, kind="pair")                      two at once
+    Question(seed=7, kind="removed")                   one, whose names the diagnoser may not use
+    Question(seed=7, effect="cogging", multiple=4.0)   so many times the limit of limits.json
+
+A question is a value: the same one draws the same trial wherever and whenever it is asked.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+
+from servo_bench.errors import ConfigError
+from tests.trials.excitation import Plan, plan
+from tests.trials.limits import smallest_detectable
+from tests.trials.names import Channels, right_names
+from tests.truth import hidden
+from tests.truth.catalogue import BY_NAME, IN_THE_CATALOGUE, OUTSIDE_THE_CATALOGUE
+from tests.truth.hidden import Sealed
+from tests.truth.rigs import PAPER, NominalRig, drawn
+
+Kind = Literal["one", "none", "outside", "pair", "removed"]
+
+SECONDS, PERIOD_S = 44.0, 0.008
+PAPER_SHARE = 0.2
+"""Of the trials, on the paper's own rig."""
+
+CAN_BE_REMOVED = tuple(hiding.name for hiding in IN_THE_CATALOGUE if not hiding.also)
+"""Causes that act alone: with a companion left to be named, "unknown" would not be the answer."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """One trial. `effect` narrows the draw; `multiple` sets its size instead of its range's."""
+
+    seed: int
+    kind: Kind = "one"
+    effect: str | None = None
+    multiple: float | None = None
+    channels: Channels = "all"
+    seconds: float = SECONDS
+    period_s: float = PERIOD_S
+    wire: bool = False
+
+    def __post_init__(self) -> None:
+        """Raises ConfigError for a question that cannot be asked."""
+        table = {"one": IN_THE_CATALOGUE, "outside": OUTSIDE_THE_CATALOGUE}.get(self.kind, ())
+        allowed = CAN_BE_REMOVED if self.kind == "removed" else tuple(h.name for h in table)
+        if self.effect is not None and self.effect not in allowed:
+            raise ConfigError(
+                f"kind {self.kind!r} cannot hide {self.effect!r}: it hides "
+                f"{', '.join(allowed) or 'what the seed says'}. Leave --effect away, or name one."
+            )
+        if self.multiple is not None and (self.kind != "one" or self.effect is None or self.wire):
+            raise ConfigError(
+                f"multiple = {self.multiple:g}: limits are those of one named effect, recorded "
+                "without a wire. Give kind one and --effect NAME."
+            )
+        if self.wire and (self.period_s != PERIOD_S or self.effect is not None):
+            raise ConfigError(
+                "on the wire the seed alone says what is hidden, and the period is "
+                f"{PERIOD_S} s: leave --effect and --period-s away."
+            )
+
+    @cached_property
+    def nominal(self) -> NominalRig:
+        """The rig's nominal values."""
+        paper = np.random.default_rng((self.seed, 11)).random() < PAPER_SHARE
+        return PAPER if paper else drawn(self.seed)
+
+    @cached_property
+    def plan(self) -> Plan:
+        """What is played."""
+        return plan(
+            np.random.default_rng((self.seed, 12)), self.nominal, self.seconds, self.period_s
+        )
+
+    def sealed(self) -> Sealed:
+        """What is hidden."""
+        if self.multiple is not None and self.effect is not None:
+            return hidden.hide(self.seed, {self.effect: self._multiplied(self.effect)})
+        return hidden.draw(self.seed, self._drawn_kind(), among=self._among())
+
+    def without(self, sealed: Sealed) -> tuple[str, ...]:
+        """The effects that the diagnoser may not use; the hider's knowledge of what to take."""
+        if self.kind != "removed":
+            return ()
+        taken = (right_names(cause, self.channels) for cause in sealed.open().causes)
+        return tuple(sorted(frozenset().union(*taken)))
+
+    def numbers(self) -> dict[str, Any]:
+        """The question for JSON; `Question(**numbers)` is the same one."""
+        return asdict(self)
+
+    @property
+    def label(self) -> str:
+        """A few words for progress."""
+        size = "" if self.multiple is None else f" x{self.multiple:g}"
+        return f"{self.kind} {self.effect or ''}{size} {self.seed}".replace("  ", " ")
+
+    def _multiplied(self, effect: str) -> float:
+        """So many times the limit, within the range: past a threshold, twice is another machine."""
+        hiding, limit = BY_NAME[effect], smallest_detectable(effect, self.channels)
+        size = min((self.multiple or 0.0) * limit, max(hiding.high, limit))
+        negative = np.random.default_rng((self.seed, 13)).random() < 0.5
+        return -size if hiding.signed and negative else size
+
+    def _drawn_kind(self) -> Literal["one", "none", "outside", "pair"]:
+        return "one" if self.kind == "removed" else self.kind
+
+    def _among(self) -> tuple[str, ...] | None:
+        if self.effect is not None:
+            return (self.effect,)
+        if self.wire and self.kind in {"one", "pair"}:
+            return hidden.ON_THE_WIRE
+        if self.kind == "removed":
+            kept = CAN_BE_REMOVED
+            return tuple(n for n in kept if n in hidden.ON_THE_WIRE) if self.wire else kept
+        return None
+
+
+def question_from(numbers: Mapping[str, Any]) -> Question:
+    """A question that was written as JSON."""
+    return Question(**numbers)

@@ -47,6 +47,12 @@ COMMANDS = {
         "servo_bench.cli.fit",
         "Fit numbers of the rig's model to a recording, with standard errors.",
     ),
+    "diagnose": Entry(
+        "servo_bench.cli.diagnose",
+        "Say what the simulation of a rig gets wrong, name the cause, and measure what mending "
+        "gains.",
+    ),
+    "design": Entry("servo_bench.cli.design", "Design an experiment for a purpose."),
     "import": Entry(
         "servo_bench.cli.import_", "Turn measured data from elsewhere into a recording."
     ),

@@ -164,7 +164,7 @@ def _progress() -> Iterator[Callable[[str], None]]:
         yield console.print
         return
     with console.status("reading") as line:
-        yield lambda what: line.update(what)
+        yield line.update
 
 
 def _show(verdict: Verdict) -> None:

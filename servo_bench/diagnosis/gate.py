@@ -24,7 +24,7 @@ from sim_rig.model import Model
 SEEN_Z, HELD_Z = 4.0, 3.0
 HELD_GAIN, FURTHER_GAIN = 0.004, 0.05
 """Of the held-out cost: of the first cause, and of a further one where little is wrong any more."""
-MOST_OF_IT = 0.5
+MOST_OF_IT, MUCH = 0.5, 0.1
 """Who explains so much of what was seen need not be as sure on the rest."""
 HALF, A_FIFTH = 0.5, 0.2
 FLOORS = 2.5
@@ -91,8 +91,9 @@ def is_material(model: Model, effect: str, scales: Scales, held_gain: float = 0.
 def passes(contender: Contender, *, right: bool) -> bool:
     """Whether a contender is beyond chance; `right`: the base misses no more than it may."""
     least = FURTHER_GAIN if right else HELD_GAIN
-    if contender.seen_gain > MOST_OF_IT and contender.seen_z > SEEN_Z:
-        return contender.held_gain > FURTHER_GAIN and contender.held_z > 0.5 * HELD_Z
+    if contender.seen_gain > MOST_OF_IT or min(contender.seen_gain, contender.held_gain) > MUCH:
+        sure = contender.seen_z > SEEN_Z and contender.held_z > 0.5 * HELD_Z
+        return sure and contender.held_gain > FURTHER_GAIN
     return (
         contender.seen_z > SEEN_Z
         and contender.held_z > HELD_Z

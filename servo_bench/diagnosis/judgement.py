@@ -26,10 +26,12 @@ from sim_rig.model import Model
 
 RIGHT = 1.1
 """Largest misfit, in what a right simulation may miss, of a simulation that is called right."""
-FAR_BETTER, NEARLY_RIGHT = 15.0, 2.5
+FAR_BETTER, NEARLY_RIGHT = 10.0, 2.5
 """So many times better than before, and so near, is explained too: what remains is noted."""
 WHOLE = 0.12
 """How far from a whole number the order of a torque line on the motor's own shaft may be."""
+SURE = 6.0
+"""A strength of fewer standard errors is no cause: a sandwich of few blocks is too sure."""
 FEWEST_WILD = 3
 FEWEST_LOST = 2
 FULL_TURN = 2.0 * np.pi
@@ -98,7 +100,9 @@ def _explained(finding: Finding) -> bool:
 def _causes(finding: Finding) -> Iterator[Cause]:
     numbers = _quantities(finding.final)
     for one in finding.named:
-        yield _cause(one, numbers)
+        strength = numbers.get(f"{one.effect}.{find_effect(one.effect).strengths[0]}")
+        if strength is None or abs(strength.value) > SURE * strength.standard_error:
+            yield _cause(one, numbers)
     if len(finding.lost.rows) >= FEWEST_LOST:
         low, high = finding.lost.interval
         yield Cause(

@@ -103,7 +103,7 @@ def _wide(parameter: FreeParameter, effect: str, size: float) -> Unknown:
     low = max(prior.least, 0.0) if prior.least >= 0.0 else -10.0 * abs(prior.low)
     if prior.above > -np.inf:
         low = max(0.2 * prior.low, prior.above)
-    high = min(prior.most, 10.0 * prior.high)
+    high = min(prior.most, (1.5 if prior.above > -np.inf else 10.0) * prior.high)
     step = 0.3 * size if parameter.is_strength else 0.3 * parameter.centre
     step = abs(step) or 0.1 * (prior.high - prior.low)
     return Unknown(effect, parameter.field, max(low, prior.least), high, step=step)

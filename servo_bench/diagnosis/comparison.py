@@ -364,7 +364,7 @@ def _check(comparison: Comparison) -> None:
     moved = {
         s.name: float(np.nanstd(np.where(comparison.seen, values, np.nan))) / s.floor
         for s, values in zip(comparison.signals, comparison.measured, strict=True)
-        if s.unit == "rad/s"
+        if s.unit == "rad/s" and np.isfinite(values[comparison.seen]).any()
     }
     if moved and max(moved.values()) < 3.0:
         told = ", ".join(f"{name} {times:.1f} times its noise" for name, times in moved.items())

@@ -33,6 +33,7 @@ from servo_bench.diagnosis.rounds import Contender, Round, merged, play_round
 from servo_bench.diagnosis.rows import Array
 from servo_bench.diagnosis.seeking import Found, seek
 from servo_bench.diagnosis.unknowns import Unknown, nuisances
+from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 
@@ -75,6 +76,7 @@ class Finding:
     load_lines: tuple[OrderLine, ...]
     tone: Tone | None
     wild: int
+    turns: float
     rounds: tuple[Round, ...]
     misfit_before: Array
     misfit_after: Array
@@ -101,6 +103,7 @@ def find_causes(
     began = time.perf_counter()
     report("data hygiene")
     recordings = tuple(recordings)
+    _need_command(recordings)
     quick = quick_evidence(recordings, model, QUICK_ROWS, held_out=held_out, block=block)
     scales = _scales(quick, model)
     band = nuisances(scales.torque_nm, scales.speed_rad_s, scales.gap_rad)
@@ -115,9 +118,11 @@ def find_causes(
     grid = None if "quantisation" in without else lattice(recordings[0])
     report("position spectrum")
     motor, load = motor_lines(quick.fitted[0], base.model), load_lines(quick.fitted[0], base.model)
+    turns = _turns(quick)
     candidates = hypotheses(
         scales,
-        motor_orders=[_whole_order(line.order) for line in motor] or USUAL,
+        motor_orders=[_whole_order(line.order, turns) for line in motor.torque] or USUAL,
+        ripple_orders=[_whole_order(line.order, turns) for line in motor.ripple] or USUAL,
         load_orders=[line.order for line in load],
         without=tuple(without),
         only=tuple(only),
@@ -144,16 +149,25 @@ def find_causes(
         absorbed=tuple(absorbed),
         lost=lost,
         lattice=grid,
-        motor_lines=motor,
+        motor_lines=motor.torque,
         load_lines=load,
         tone=tone(quick.fitted[0], now.model),
         wild=wild_samples(quick.fitted[0], now.model, scales.gap_rad),
+        turns=turns,
         rounds=tuple(rounds),
         misfit_before=misfit(whole, plain.errors),
         misfit_after=misfit(whole, final.errors),
         deletions=deletions,
         seconds=time.perf_counter() - began,
     )
+
+
+def _need_command(recordings: Sequence[Recording]) -> None:
+    if any("velocity_command_rad_s" not in recording for recording in recordings):
+        raise FitError(
+            "a recording has no velocity command: the closed loop cannot be played from it. Record "
+            "the command, or give measured data with current or voltage and motion alone."
+        )
 
 
 def _scales(quick: Evidence, model: Model) -> Scales:
@@ -163,9 +177,23 @@ def _scales(quick: Evidence, model: Model) -> Scales:
     return scales_of(model, commands, model.simulate(commands, rows.durations_s[piece.rows]))
 
 
-def _whole_order(order: float) -> float:
+def order_tolerance(turns: float) -> float:
+    """How far from a whole number an order may be found that is one: turns tell orders apart."""
+    return max(0.12, 0.3 / max(turns, 0.3))
+
+
+def _whole_order(order: float, turns: float) -> float:
     """The nearest whole order, where it is as near as the record's turns can tell."""
-    return float(round(order)) if abs(order - round(order)) < 0.15 else order
+    return float(round(order)) if abs(order - round(order)) < order_tolerance(turns) else order
+
+
+def _turns(quick: Evidence) -> float:
+    """Full turns that the command asks for in the recording's beginning."""
+    rows = quick.fitted[0].source.rows
+    if not rows.has("velocity_command_rad_s"):
+        return 0.0
+    angle = np.nancumsum(rows.channel("velocity_command_rad_s") * rows.durations_s)
+    return float(np.ptp(angle)) / (2.0 * np.pi)
 
 
 def _lost(

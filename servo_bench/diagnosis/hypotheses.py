@@ -134,6 +134,7 @@ def hypotheses(
     scales: Scales,
     *,
     motor_orders: Sequence[float] = (),
+    ripple_orders: Sequence[float] = (),
     load_orders: Sequence[float] = (),
     without: Sequence[str] = (),
     only: Sequence[str] = (),
@@ -145,10 +146,18 @@ def hypotheses(
             continue
         if name in ("backlash_width", "position_backlash") and scales.gap_rad <= 0.0:
             continue
-        trials = tuple(_trials(effect, scales, motor_orders, load_orders))
+        trials = tuple(_trials(effect, scales, _Orders(motor_orders, ripple_orders, load_orders)))
         if trials:
             found.append(Hypothesis(name, trials, _FREE.get(name) or _default_free(effect)))
     return tuple(found)
+
+
+class _Orders(NamedTuple):
+    """Periods a revolution that are tried: of a torque, of one with the current, of the load's."""
+
+    motor: Sequence[float]
+    ripple: Sequence[float]
+    load: Sequence[float]
 
 
 def _default_free(effect: Effect) -> tuple[str, ...]:
@@ -160,12 +169,11 @@ def _default_free(effect: Effect) -> tuple[str, ...]:
 def _trials(
     effect: Effect,
     scales: Scales,
-    motor_orders: Sequence[float],
-    load_orders: Sequence[float],
+    orders: "_Orders",
 ) -> Iterator[Trial]:
     sizes = _sizes(effect, scales)
     strength = effect.strengths[0]
-    for choice, beside in _choices(effect.name, scales, motor_orders, load_orders):
+    for choice, beside in _choices(effect.name, scales, orders):
         for size in sizes:
             yield Trial(effect.name, {strength: size, **choice}, abs(size), beside)
 
@@ -220,7 +228,7 @@ def _sizes(effect: Effect, s: Scales) -> tuple[float, ...]:
 
 
 def _choices(
-    name: str, s: Scales, motor_orders: Sequence[float], load_orders: Sequence[float]
+    name: str, s: Scales, orders: "_Orders"
 ) -> Iterator[tuple[Table, Mapping[str, Table]]]:
     """What is not sought by steps but by trying: orders, velocities, a vehicle."""
     vehicle = {
@@ -230,14 +238,14 @@ def _choices(
         }
     }
     if name == "cogging":
-        yield from (({"order": float(order)}, {}) for order in motor_orders)
+        yield from (({"order": float(order)}, {}) for order in orders.motor)
     elif name == "torque_ripple":
         yield from (
             ({"electrical_order": float(order), "pole_pair_count": 1.0}, {})
-            for order in motor_orders
+            for order in orders.ripple
         )
     elif name == "encoder_subdivision":
-        yield from (({"line_order": float(order)}, {}) for order in load_orders)
+        yield from (({"line_order": float(order)}, {}) for order in orders.load)
     elif name in SHARP:
         yield from (({"transition_rad_s": 0.1}, beside) for beside in _vehicles(name, vehicle))
     elif name == "stribeck":

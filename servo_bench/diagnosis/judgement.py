@@ -16,7 +16,7 @@ import numpy as np
 from servo_bench.diagnosis.classes import class_of, splitting
 from servo_bench.diagnosis.comparison import Comparison, compare
 from servo_bench.diagnosis.evidence import block_z
-from servo_bench.diagnosis.finding import Finding, Named
+from servo_bench.diagnosis.finding import Finding, Named, order_tolerance
 from servo_bench.diagnosis.free import unit_of
 from servo_bench.diagnosis.rows import Array, Mask
 from servo_bench.diagnosis.seeking import Found
@@ -28,8 +28,6 @@ RIGHT = 1.1
 """Largest misfit, in what a right simulation may miss, of a simulation that is called right."""
 FAR_BETTER, NEARLY_RIGHT = 10.0, 2.5
 """So many times better than before, and so near, is explained too: what remains is noted."""
-WHOLE = 0.12
-"""How far from a whole number the order of a torque line on the motor's own shaft may be."""
 SURE = 6.0
 """A strength of fewer standard errors is no cause: a sandwich of few blocks is too sure."""
 FEWEST_WILD = 3
@@ -82,13 +80,20 @@ def _strange(finding: Finding) -> Iterator[str]:
             f"{finding.wild} load samples are wrong alone, by more than any state of the gap "
             "allows: look at the encoder's line."
         )
-    turning = any(n.effect in ("cogging", "torque_ripple") for n in finding.named)
-    line = finding.motor_lines[0] if finding.motor_lines and turning else None
-    if line is not None and abs(line.order - round(line.order)) > WHOLE:
-        yield (
-            f"A torque line stands at {line.order:.2f} periods a revolution of the motor: no whole "
-            "number, so nothing on the motor's own shaft makes it (a gear's mesh would)."
-        )
+    for effect in {n.effect for n in finding.named} & {"cogging", "torque_ripple"}:
+        order = _order(finding.final.model, effect)
+        if abs(order - round(order)) > order_tolerance(finding.turns):
+            yield (
+                f"A torque line stands at {order:.2f} periods a revolution of the motor: no whole "
+                "number, so nothing on the motor's own shaft makes it (a gear's mesh would)."
+            )
+
+
+def _order(model: Model, effect: str) -> float:
+    params = model.effects[effect]
+    if effect == "cogging":
+        return float(params.order)
+    return float(params.electrical_order * params.pole_pair_count)
 
 
 def _explained(finding: Finding) -> bool:

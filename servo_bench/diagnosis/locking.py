@@ -21,7 +21,7 @@ from servo_bench.diagnosis.rows import Array, Mask
 BINS = 40
 AFTER_ROWS = 24
 ORDERS = np.arange(1.0, 101.0)
-LEAST_TURNS = 0.5
+LEAST_PERIODS = 1.0
 
 
 class Binned(NamedTuple):
@@ -62,14 +62,14 @@ def binned_share(by: Array, error: Array, bins: int = BINS) -> float:
 def line_shares(angle: Array, error: Array, weight: Array | None = None) -> Array:
     """Of the variance, by a wave of each of ORDERS times `weight`; shape (orders,).
 
-    An order that made less than half a period is not told from drift: its share is 0.
+    An order that made less than one period is not told from drift: its share is 0.
     """
     centred = error - error.mean()
     total = float(centred @ centred)
     periods = ORDERS * float(np.ptp(angle)) / (2.0 * np.pi)
     shares = np.zeros(ORDERS.size)
     factor = np.ones(angle.size) if weight is None else weight
-    for k in np.flatnonzero(periods >= LEAST_TURNS):
+    for k in np.flatnonzero(periods >= LEAST_PERIODS):
         wave = np.exp(1j * ORDERS[k] * angle)
         terms = np.stack((wave.real, wave.imag)) * factor
         terms -= terms.mean(axis=1, keepdims=True)

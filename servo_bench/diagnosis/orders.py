@@ -44,10 +44,18 @@ class OrderLine(NamedTuple):
     height: float
 
 
-def motor_lines(comparison: Comparison, model: Model, most: int = 3) -> tuple[OrderLine, ...]:
-    """The strongest torque lines of the motor's shaft, strongest first; () where nothing stands."""
+class MotorLines(NamedTuple):
+    """Lines of the motor's shaft, strongest first: of a torque (cogging), and of one that grows
+    with the current (ripple)."""
+
+    torque: tuple[OrderLine, ...]
+    ripple: tuple[OrderLine, ...]
+
+
+def motor_lines(comparison: Comparison, model: Model, most: int = 3) -> MotorLines:
+    """The lines that stand out; both empty where none does, or the loop is not what is compared."""
     if comparison.block != "loop":
-        return ()
+        return MotorLines((), ())
     rows, piece = comparison.source.rows, comparison.pieces[0].piece
     piece = piece._replace(last=min(piece.last, piece.first + MOST_ROWS))
     period_s = rows.period_s
@@ -55,18 +63,40 @@ def motor_lines(comparison: Comparison, model: Model, most: int = 3) -> tuple[Or
     commands = np.repeat(rows.channel("velocity_command_rad_s")[piece.rows], fine)
     durations = np.repeat(rows.durations_s[piece.rows] / fine, fine)
     start = model.state(motor_angle_rad=piece.motor_angle_rad, load_angle_rad=piece.motor_angle_rad)
-    angle = model.simulate(commands, durations, start).motor_angle_rad
+    done = model.simulate(commands, durations, start)
     targets = _targets(comparison, model, piece.last - piece.first - 1)
-    turns = max(float(np.ptp(angle)) / (2.0 * np.pi), 0.25)
-    step = float(np.clip(0.2 / turns, 0.02, 0.25))
-    grid = np.arange(LOWEST_MOTOR, HIGHEST_MOTOR, step)
     respond = _Response(model, period_s / fine, fine)
-    coarse = np.array([_height(respond.templates(angle, n, targets), targets) for n in grid[::2]])
+    rms = max(float(np.sqrt(np.mean(done.motor_current_a**2))), 1e-12)
+    return MotorLines(
+        *(
+            _strongest(_Shaft(done.motor_angle_rad, weight), respond, targets, most)
+            for weight in (np.ones(commands.size), done.motor_current_a / rms)
+        )
+    )
+
+
+class _Shaft(NamedTuple):
+    """Where the shaft is, and what a wave on it is multiplied with."""
+
+    angle: Array
+    weight: Array
+
+
+def _strongest(
+    shaft: _Shaft, respond: "_Response", targets: "Sequence[_Target]", most: int
+) -> tuple[OrderLine, ...]:
+    turns = max(float(np.ptp(shaft.angle)) / (2.0 * np.pi), 0.25)
+    step = float(np.clip(0.2 / turns, 0.02, 0.25))
+    grid = np.arange(LOWEST_MOTOR, HIGHEST_MOTOR, 2.0 * step)
+
+    def height(order: float) -> tuple[float, float]:
+        return _height(respond.templates(shaft, order, targets), targets)
+
+    coarse = np.array([height(n)[1] for n in grid])
     found: list[OrderLine] = []
-    for place in np.argsort(-coarse[:, 1])[:8]:
-        centre = grid[::2][place]
-        near = centre + step * np.linspace(-2.0, 2.0, 9)
-        heights = [_height(respond.templates(angle, n, targets), targets) for n in near]
+    for place in np.argsort(-coarse)[:8]:
+        near = grid[place] + step * np.linspace(-2.0, 2.0, 9)
+        heights = [height(n) for n in near]
         best = int(np.argmax([h for _, h in heights]))
         line = OrderLine(float(near[best]), *map(float, heights[best]))
         width = max(1.0 / turns, 0.3)
@@ -119,9 +149,9 @@ class _Response:
         b, a, _ = cont2discrete((np.array(top), np.array(below)), step_s, method="bilinear")
         return np.asarray(b).ravel(), np.asarray(a).ravel()
 
-    def templates(self, angle: Array, order: float, targets: Sequence[_Target]) -> Array:
+    def templates(self, shaft: _Shaft, order: float, targets: Sequence[_Target]) -> Array:
         """Whitened, shape (points of all targets,), complex."""
-        wave = np.exp(1j * order * angle)
+        wave = shaft.weight * np.exp(1j * order * shaft.angle)
         turned = lfilter(*self.angle, wave)
         at_rows = turned[:: self.fine]
         parts = []

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from servo_bench.diagnosis.comparison import Comparison, compare
 from servo_bench.diagnosis.finding import Finding
 from servo_bench.diagnosis.locking import (
-    LEAST_TURNS,
+    LEAST_PERIODS,
     ORDERS,
     after_edges,
     binned,
@@ -79,7 +79,8 @@ def draw_before_after(figure: Figure, found: Judged) -> None:
         above, "where the nominal simulation is most wrong", "", f"{signal.name}\n({signal.unit})"
     )
     caption_axes(below, "measured less simulated", "time (s)", f"error\n({signal.unit})")
-    above.legend(loc="upper center", bbox_to_anchor=(0.7, 1.25), ncols=3)
+    handles, labels = above.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
     figure.align_ylabels([above, below])
 
 
@@ -170,6 +171,8 @@ def _draw_orders(axes: Axes, track: Track, moving: Array) -> None:
     axes.plot(ORDERS, 100.0 * turned, color=ORDER_1, linestyle=":", label="times the direction")
     axes.set_ylim(0.0, max(5.0, axes.get_ylim()[1]))
     turns = float(np.ptp(angle)) / (2.0 * np.pi)
-    title = f"by position, {turns:.1f} turns" if turns > LEAST_TURNS else "by position: no turn"
+    title = (
+        f"by position, {turns:.1f} turns" if turns >= LEAST_PERIODS else "by position: no full turn"
+    )
     caption_axes(axes, title, "order (per revolution)", "share (%)")
     axes.legend(loc="upper right", fontsize=6.5)

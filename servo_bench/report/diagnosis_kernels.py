@@ -1,11 +1,14 @@
 """Which measured Volterra kernels the nominal simulation misses, and which the extended recovers.
 
 Both models are played over the recording's own commands, and their kernels are extracted as the
-measured ones are. An element stands out where it is more than four times the scatter of its
-coefficients; it is missed where the simulation differs from it by more than that.
+measured ones are, with the same aliases. An element stands out where it is above four times the
+sensor's noise in it and above a twentieth of its order's largest; it is missed where the simulation
+differs from it by more than that.
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,37 +21,47 @@ from servo_bench.recording.recording import Recording
 from servo_bench.report.style import ACTUAL, MUTED, ORDER_1, ORDER_3, caption_axes
 from sim_rig.model import Model
 
-DEVIATIONS = 4.0
-ORDERS = (1, 2, 3)
+DEVIATIONS, LEAST_SHARE = 4.0, 0.05
+ORDERS = ("first", "second", "third")
+
+
+class KernelRow(NamedTuple):
+    """One order: elements that stand out, of them missed by each model, and both distances.
+
+    A distance is the rms of the difference over that of the measured elements that stand out.
+    """
+
+    name: str
+    there: int
+    missed_nominal: int
+    missed_extended: int
+    distance_nominal: float
+    distance_extended: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KernelStory:
-    """The same kernels, measured and simulated twice."""
+    """The same kernels, measured and simulated twice; `noise` is that of a coefficient, rad/s."""
 
     measured: Kernels
     nominal: Kernels
     extended: Kernels
+    noise: float
 
-    def rows(self) -> list[tuple[str, int, int, int, float, float]]:
-        """By order: its name, elements that stand out, of them missed before and after; distances.
+    def rows(self) -> list[KernelRow]:
+        """By order."""
+        return [self._row(name, order) for order, name in enumerate(ORDERS, 1)]
 
-        A distance is the rms of the difference over that of the measured elements that stand out.
-        """
-        found = []
-        for order in ORDERS:
-            own = coefficients(self.measured, order)
-            bound = DEVIATIONS * self.measured.scatter
-            there = np.abs(own) > bound
-            missed, distances = [], []
-            for other in (self.nominal, self.extended):
-                apart = np.abs(coefficients(other, order) - own)
-                missed.append(int((apart[there] > bound).sum()))
-                size = float(np.linalg.norm(own[there]))
-                distances.append(float(np.linalg.norm(apart[there])) / size if size else 0.0)
-            name = ("first", "second", "third")[order - 1]
-            found.append((name, int(there.sum()), missed[0], missed[1], *distances))
-        return [(a, b, c, d, e, f) for a, b, c, d, e, f in found]
+    def _row(self, name: str, order: int) -> KernelRow:
+        own = coefficients(self.measured, order)
+        largest = float(np.abs(own).max(initial=0.0))
+        bound = max(DEVIATIONS * self.noise, LEAST_SHARE * largest)
+        there = np.abs(own) > bound
+        size = float(np.linalg.norm(own[there])) or 1.0
+        apart = [np.abs(coefficients(k, order) - own)[there] for k in (self.nominal, self.extended)]
+        missed = [int((a > bound).sum()) for a in apart]
+        distances = [float(np.linalg.norm(a)) / size for a in apart]
+        return KernelRow(name, int(there.sum()), missed[0], missed[1], *distances)
 
 
 def coefficients(kernels: Kernels, order: int) -> Array:
@@ -56,7 +69,7 @@ def coefficients(kernels: Kernels, order: int) -> Array:
     array = (kernels.c1, kernels.c2, kernels.c3)[order - 1]
     lags = np.indices(array.shape)
     upper = np.ones(array.shape, np.bool_)
-    for one, other in zip(lags, lags[1:], strict=False):
+    for one, other in pairwise(lags):
         upper &= one <= other
     return np.nan_to_num(np.asarray(array[upper], np.float64))
 
@@ -73,7 +86,11 @@ def kernel_story(finding: Finding) -> KernelStory | None:
     ]
     if played[0] is None or played[1] is None:
         return None
-    return KernelStory(measured.kernels, played[0].kernels, played[1].kernels)
+    samples = measured.identification.measured.size * measured.kernels.periods
+    noise = measured.noise_rad_s if np.isfinite(measured.noise_rad_s) else 0.0
+    return KernelStory(
+        measured.kernels, played[0].kernels, played[1].kernels, noise / float(np.sqrt(samples))
+    )
 
 
 def _played(finding: Finding, recording: Recording, model: Model) -> Recording:

@@ -1,0 +1,216 @@
+"""`servo-bench diagnose`: one short trial from the file to the page, and everything that is bad."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from servo_bench.cli import app as cli
+from servo_bench.diagnosis.extended import extended_rig, rig_text
+from servo_bench.diagnosis.undecided import check_alike, open_questions, undecided
+from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.errors import ConfigError, FitError
+from servo_bench.recording.mcap_file import load
+from servo_bench.recording.recording import Recording
+from servo_bench.report.diagnosis_page import diagnosis_report
+from servo_bench.rig import SimulatedConfig, load_rig
+from sim_rig.model import Model
+from sim_rig.settings import Nominal
+from tests.reported_run import HOSTILE, Page
+from tests.trials.drawing import Question
+from tests.trials.handing import Handed, hand_over
+
+SECONDS, SEED, STRENGTH_NM = 10.0, 1001, 0.01
+
+
+class Done(NamedTuple):
+    """What the command left."""
+
+    output: str
+    verdict: Verdict
+    page: str
+    rig: Path
+    handed: Handed
+
+
+@pytest.fixture(scope="module")
+def handed(tmp_path_factory: pytest.TempPathFactory) -> Handed:
+    question = Question(seed=SEED, effect="cogging", seconds=SECONDS)
+    return hand_over(question, question.sealed(), tmp_path_factory.mktemp("trial"))
+
+
+@pytest.fixture(scope="module")
+def done(handed: Handed) -> Done:
+    folder = handed.seen.parent
+    out = {name: folder / f"out.{name}" for name in ("json", "html", "toml")}
+    words = ["diagnose", handed.seen, "--holdout", handed.held_out, "--rig", handed.rig]
+    words += ["--only", "cogging,torque_ripple", "--json", out["json"], "--report", out["html"]]
+    found = CliRunner().invoke(cli.app, [str(w) for w in (*words, "--rig-out", out["toml"])])
+    assert found.exit_code == 0, found.output
+    verdict = Verdict.model_validate_json(out["json"].read_bytes())
+    return Done(found.output, verdict, out["html"].read_text(), out["toml"], handed)
+
+
+def run(*words: object) -> str:
+    """The words of the error that the command ends with."""
+    found = CliRunner().invoke(cli.app, ["diagnose", *map(str, words)])
+    assert found.exception is not None
+    assert not isinstance(found.exception, SystemExit), found.output
+    return str(found.exception)
+
+
+def test_the_hidden_cause_is_named_and_told(done: Done) -> None:
+    assert done.verdict.names == ("cogging",)
+    assert done.verdict.sentence in done.output.replace("\n", " ")
+    assert done.verdict.error is not None
+    assert done.verdict.error.after < done.verdict.error.before
+
+
+def test_the_picture_needs_no_model_of_the_cause(done: Done) -> None:
+    signature = done.verdict.signature
+    assert signature is not None
+    assert signature.locked_to == "position"
+    cogging = done.verdict.effects["cogging"]
+    assert signature.lines[0].order == pytest.approx(cogging["order"], abs=0.3)
+    assert signature.block == "controller or mechanics"
+    assert all(0.0 <= share <= 1.0 for share in signature.shares.values())
+
+
+def test_the_page_is_whole_and_has_the_sentence_first(done: Done) -> None:
+    page = Page(done.page)
+    assert done.page.index(done.verdict.sentence[:40]) < done.page.index("<svg")
+    assert "script" not in page.tags
+    assert page.tags.count("svg") >= 3
+    assert "http://" not in done.page.replace("http://www.w3.org", "")
+
+
+def test_the_extended_rig_is_the_verdicts_model(done: Done) -> None:
+    rig = load_rig(done.rig)
+    nominal = Nominal(**done.verdict.nominal)
+    told = Model.from_table(nominal, done.verdict.effects)
+    commands = np.repeat([3.0, -3.0, 1.0], 40)
+    mine, theirs = rig.model().simulate(commands, 0.008), told.simulate(commands, 0.008)
+    np.testing.assert_array_equal(mine.load_angle_rad, theirs.load_angle_rad)
+    plain = load_rig(done.handed.rig)
+    kept = {"nominal", "effects", "simulated"}
+    assert rig.model_dump(exclude=kept) == plain.model_dump(exclude=kept)
+    settings = rig.simulation_settings()
+    assert dict(settings.effects) == done.verdict.effects
+
+
+def test_a_software_rigs_own_secret_does_not_act_beside_the_verdict() -> None:
+    secret = SimulatedConfig(seed=3, effects={"coulomb": {"torque_nm": 0.01}}, backlash_gap_rad=0.1)
+    rig = load_rig("rigs/paper.toml").model_copy(update={"simulated": secret})
+    nominal = {k: float(v) for k, v in rig.nominal.model_dump().items()}
+    effects = {"cogging": {"torque_nm": STRENGTH_NM}}
+    verdict = Verdict(verdict="none", sentence="", nominal=nominal, effects=effects)
+    extended = extended_rig(rig, verdict)
+    assert extended.simulation_settings().effects == effects
+    assert extended.simulated is not None
+    assert extended.simulated.backlash_gap_rad is None
+    assert extended.simulated.seed == 3
+
+
+def test_a_rigs_text_reads_back_the_same_whatever_its_name_is(tmp_path: Path) -> None:
+    rig = load_rig("rigs/paper.toml").model_copy(update={"name": HOSTILE + "\n\t\\ größe"})
+    path = tmp_path / "rig.toml"
+    path.write_text(rig_text(rig))
+    assert load_rig(path) == rig
+
+
+def test_the_schema_is_the_verdicts() -> None:
+    found = CliRunner().invoke(cli.app, ["diagnose", "--schema"])
+    assert json.loads(found.output) == Verdict.model_json_schema()
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--without", "nonsense"), "no effect is called nonsense"),
+        (("--only", "cogging", "--without", "cogging"), "leave nothing to try"),
+    ],
+)
+def test_what_the_operator_gets_wrong_is_refused(
+    handed: Handed, options: tuple[str, ...], told: str
+) -> None:
+    assert told in run(handed.seen, *options)
+
+
+def test_no_recording_is_refused() -> None:
+    assert "no recording is given" in run()
+
+
+def test_nothing_is_overwritten(handed: Handed) -> None:
+    assert "exists already" in run(handed.seen, "--json", handed.rig)
+
+
+def _without(recording: Recording, *names: str) -> Recording:
+    kept = {name: values for name, values in recording.channels.items() if name not in names}
+    return replace(recording, channels=kept)
+
+
+def _standing(recording: Recording) -> Recording:
+    still = {
+        name: np.zeros_like(values) if name.endswith(("_rad", "_rad_s")) else values
+        for name, values in recording.channels.items()
+    }
+    return replace(recording, channels=still)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda r: _without(r, "load_angle_rad", "motor_position_rad"), "load_angle_rad"),
+        (lambda r: _without(r, "velocity_command_rad_s", "motor_torque_nm"), "command"),
+        (_standing, "stayed at zero"),
+    ],
+)
+def test_what_cannot_be_decided_is_said_and_which_run_would(
+    handed: Handed, spoil: Callable[[Recording], Recording], told: str
+) -> None:
+    recording = spoil(load(handed.seen))
+    verdict = undecided(FitError("nothing can be fitted"), [recording])
+    assert verdict.verdict == "unknown"
+    assert any(told in sentence for sentence in verdict.undecided)
+    assert "design diagnosis" in verdict.next_run
+    assert "nothing can be fitted" in diagnosis_report(verdict, None, recording)
+
+
+def test_a_recording_that_cannot_be_fitted_ends_in_a_verdict(
+    handed: Handed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "verdict.json"
+    monkeypatch.setattr("servo_bench.cli.diagnose.load", lambda path: _standing(load(path)))
+    words = ["diagnose", handed.seen, "--rig", handed.rig, "--json", out]
+    words += ["--report", tmp_path / "page.html", "--rig-out", tmp_path / "rig.toml"]
+    found = CliRunner().invoke(cli.app, [str(w) for w in words])
+    assert found.exit_code == 0, found.output
+    verdict = Verdict.model_validate_json(out.read_bytes())
+    assert verdict.verdict == "unknown"
+    assert verdict.undecided
+    assert not (tmp_path / "rig.toml").exists()
+    with pytest.raises(ConfigError, match="no model"):
+        extended_rig(load_rig(handed.rig), verdict)
+
+
+def test_recordings_of_different_signals_are_refused(handed: Handed) -> None:
+    recording = load(handed.seen)
+    with pytest.raises(ConfigError, match="recording 2 has"):
+        check_alike([recording, _without(recording, "motor_torque_nm")])
+    with pytest.raises(ConfigError, match="period"):
+        check_alike([recording], replace(recording, period_s=0.001))
+
+
+@pytest.mark.parametrize(
+    ("command", "single"),
+    [([-3.0, 3.0], True), ([-2.0, 4.0], True), ([-4.0, -2.0, 0.0, 2.0, 4.0], False)],
+)
+def test_one_size_of_command_leaves_a_question_open(command: list[float], single: bool) -> None:
+    values = np.random.default_rng(3).choice(command, 400)
+    recording = Recording({"velocity_command_rad_s": values}, 0.001, None, None, {})
+    assert any("single size" in s for s in open_questions(recording)) is single

@@ -1,0 +1,88 @@
+"""Designing a run: within the rig's limits, playable, and better where the physics says so."""
+
+import math
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from servo_bench.cli import app as cli
+from servo_bench.cli.design import ambiguous_pairs, experiment_text
+from servo_bench.diagnosis.candidates import MARGIN, Plan, candidates
+from servo_bench.diagnosis.design import Pair, Separation, ranked, separation
+from servo_bench.diagnosis.verdict import Cause, Verdict
+from servo_bench.errors import ConfigError
+from servo_bench.excitation.experiment import load_experiment
+from servo_bench.rig import load_rig
+
+RIG, PERIOD_S, MINUTES = "rigs/paper.toml", 0.008, 0.5
+GRID = candidates(load_rig(RIG), RIG, MINUTES, PERIOD_S)
+
+
+@pytest.mark.parametrize(
+    "plan", GRID, ids=lambda p: f"{p.words} {p.amplitude_rad_s} {p.bias_rad_s}"
+)
+def test_every_candidate_stays_within_the_rigs_limits_and_reads_back(
+    plan: Plan, tmp_path: Path
+) -> None:
+    schedule, limits = plan.experiment.schedule(), load_rig(RIG).limits
+    assert schedule.peak_travel_rad <= MARGIN * limits.travel_rad
+    assert schedule.peak_velocity_rad_s <= MARGIN * limits.velocity_rad_s
+    assert schedule.duration_s == pytest.approx(60.0 * MINUTES, rel=0.2)
+    path = tmp_path / "experiment.toml"
+    path.write_text(experiment_text(plan.experiment))
+    assert load_experiment(path) == plan.experiment
+
+
+def test_full_turns_tell_an_encoder_off_centre_from_a_weight_off_centre() -> None:
+    model, pair = load_rig(RIG).model(), frozenset({"encoder_eccentricity", "gravity_imbalance"})
+    same = [p for p in GRID if p.levels == "five levels" and p.dwell == 1]
+    still = next(p for p in same if p.bias_rad_s == 0.0)
+    turning = next(
+        p for p in same if p.bias_rad_s > 0.0 and p.amplitude_rad_s == still.amplitude_rad_s
+    )
+    told = [
+        separation(plan, model, only=tuple(pair), pairs=[pair], sizes={}).worst
+        for plan in (still, turning)
+    ]
+    assert told[1] > 1.5 * told[0] > 0.0
+
+
+def test_the_best_has_the_best_worst_pair_and_hopeless_pairs_do_not_count() -> None:
+    one, other = GRID[:2]
+    hopeless = Pair("a", "z", 0.1)
+    low = Separation(one, {}, (hopeless, Pair("a", "b", 2.0)))
+    high = Separation(other, {}, (hopeless, Pair("a", "b", 4.0)))
+    best, second = ranked([low, high])
+    assert (best.plan, best.worst, second.worst) == (other, 4.0, 2.0)
+    assert best.minutes_to_split == pytest.approx(25.0 / 16.0)
+    assert math.isinf(Separation(one, {}, ()).minutes_to_split)
+
+
+def test_limits_that_leave_no_room_are_told() -> None:
+    rig = load_rig(RIG)
+    tight = rig.model_copy(update={"limits": rig.limits.model_copy(update={"travel_rad": 0.01})})
+    with pytest.raises(ConfigError, match="travel_rad"):
+        candidates(tight, RIG, MINUTES, PERIOD_S)
+    with pytest.raises(ConfigError, match="--minutes"):
+        candidates(rig, RIG, 0.1, PERIOD_S)
+
+
+def test_a_verdicts_pairs() -> None:
+    cause = Cause(
+        effect="coulomb", parameters={}, confidence=0.5, ambiguous_with=("viscous", "stribeck")
+    )
+    verdict = Verdict(verdict="named", sentence="", causes=(cause,))
+    wanted = {frozenset({"coulomb", "viscous"}), frozenset({"coulomb", "stribeck"})}
+    assert ambiguous_pairs(verdict) == wanted
+    with pytest.raises(ConfigError, match="no two causes"):
+        ambiguous_pairs(Verdict(verdict="none", sentence=""))
+
+
+def test_a_verdict_that_is_none_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "verdict.json"
+    path.write_text('{"verdict": "perhaps"}')
+    words = ["design", "diagnosis", "--rig", RIG, "-o", tmp_path / "e.toml", "--verdict", path]
+    found = CliRunner().invoke(cli.app, [str(w) for w in words])
+    assert isinstance(found.exception, ConfigError)
+    assert "is no verdict" in str(found.exception)

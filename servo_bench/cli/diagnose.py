@@ -14,6 +14,7 @@ from rich.table import Table
 
 from servo_bench.cli.output import refuse_existing, write_json, write_text
 from servo_bench.diagnosis.diagnose import believed, investigate
+from servo_bench.diagnosis.elsewhere import diagnose_open, is_open
 from servo_bench.diagnosis.extended import extended_rig, rig_text
 from servo_bench.diagnosis.finding import Finding
 from servo_bench.diagnosis.judgement import verdict_of
@@ -85,7 +86,8 @@ def diagnose(
     config = load_rig(rig) if rig is not None else loaded[0].rig
     if rig_out is not None and config is None:
         raise ConfigError("--rig-out extends a rig, and the recording has none: give --rig.")
-    model = config.model() if config is not None else believed(loaded)
+    elsewhere = config is None and all(is_open(one) for one in loaded)
+    model = config.model() if config is not None else None if elsewhere else believed(loaded)
     found = _concluded(loaded, held_out, model, left_out, alone)
     _show(found.verdict)
     if json is not None:
@@ -108,11 +110,14 @@ class Concluded(NamedTuple):
 def _concluded(
     recordings: Sequence[Recording],
     held_out: Recording | None,
-    model: Model,
+    model: Model | None,
     without: Sequence[str],
     only: Sequence[str],
 ) -> Concluded:
     try:
+        if model is None:
+            judged = diagnose_open(recordings, held_out=held_out, without=without, only=only)
+            return Concluded(judged, None)
         with _progress() as told:
             finding = investigate(
                 recordings,

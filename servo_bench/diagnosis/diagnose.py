@@ -3,6 +3,7 @@
 from collections.abc import Collection, Sequence
 
 from servo_bench.diagnosis.comparison import Choice
+from servo_bench.diagnosis.elsewhere import diagnose_open, is_open
 from servo_bench.diagnosis.finding import Finding, Told, find_causes, nothing_told
 from servo_bench.diagnosis.judgement import verdict_of
 from servo_bench.diagnosis.verdict import Verdict
@@ -23,11 +24,16 @@ def diagnose(
 ) -> Verdict:
     """What the simulation of this rig gets wrong.
 
+    Data from elsewhere (an effort and its motion, or a locked output, and no rig) are judged
+    against a plain motor; see `elsewhere`.
+
     `model` is what is believed before (else the recording's own rig); `without` takes effects out
     of the catalogue, `only` leaves nothing but these; gain is measured on `held_out`, else on the
     recordings' own validation. Raises FitError where the data cannot be judged at all, ConfigError
     where no model is known.
     """
+    if model is None and recordings and all(is_open(one) for one in recordings):
+        return diagnose_open(recordings, held_out=held_out, without=without, only=only)
     finding = investigate(
         recordings,
         model=model,

@@ -118,7 +118,7 @@ def _commands(comparison: Comparison, start: np.ndarray) -> Array:
     rows = comparison.source.rows
     if not rows.has("velocity_command_rad_s"):
         return np.zeros(start.size)
-    return np.nan_to_num(rows.channel("velocity_command_rad_s")[start])
+    return np.asarray(np.nan_to_num(rows.channel("velocity_command_rad_s")[start]))
 
 
 def _still(commands: Array) -> Mask:

@@ -18,7 +18,7 @@ from servo_bench.diagnosis.locking import (
 )
 from servo_bench.diagnosis.picture import Track
 from servo_bench.diagnosis.rounds import Contender, Round
-from servo_bench.diagnosis.rows import Array
+from servo_bench.diagnosis.rows import Array, Mask
 from servo_bench.report.style import ACTUAL, BAND, MUTED, ORDER_1, ORDER_3, caption_axes
 
 STRETCH_S = 0.6
@@ -163,7 +163,7 @@ def draw_signature(figure: Figure, track: Track) -> None:
     caption_axes(time, "in time", "time (s)", f"error ({unit})")
 
 
-def _draw_orders(axes: Axes, track: Track, moving: Array) -> None:
+def _draw_orders(axes: Axes, track: Track, moving: Mask) -> None:
     error, angle = track.error[moving], track.angle_rad[moving]
     shares = line_shares(angle, error)
     turned = line_shares(angle, error, np.sign(track.velocity_rad_s[moving]))

@@ -1,0 +1,126 @@
+"""One motion equation: base columns, accepted terms, and their coefficients.
+
+    d omega/dt = g tau + h omega + c + sum_k (torque of term k) x coefficients
+
+    tau    the effort: a torque, a current (times K_T/J) or a voltage (times K_T/(R J))
+    h      with a voltage only: back-EMF over the resistance, and whatever damps in proportion
+    c      what is constant: an offset of the sensor, a load
+
+With a voltage the electric torque is tau + (h/g) omega, in volts: what the resistance leaves.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from servo_bench.diagnosis.elsewhere.channels import Array, Stretch
+from servo_bench.diagnosis.elsewhere.terms import Electric, Term, columns
+from servo_bench.diagnosis.elsewhere.weak import WeakRows
+
+Mask = np.ndarray[tuple[int], np.dtype[np.bool_]]
+BINS = 24
+LEAST_SCATTER = 0.3
+STICKS = 0.01
+"""A motor slower than this share of its rms velocity may stick."""
+"""Least scatter of a velocity's rows over that of all."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """The columns of an equation in one set of rows; terms own the last ones, in order."""
+
+    rows: WeakRows
+    voltage: bool
+    terms: tuple[Term, ...]
+    matrix: Array
+
+    @property
+    def base(self) -> int:
+        """How many columns belong to no term."""
+        return 3 if self.voltage else 2
+
+    def owned(self, number: int) -> slice:
+        """The columns of a term."""
+        widths = [1 if t.phase is None else 2 for t in self.terms]
+        first = self.base + sum(widths[:number])
+        return slice(first, first + widths[number])
+
+    def without(self, number: int) -> "Design":
+        """The same but for one term."""
+        gone = self.owned(number)
+        kept = [k for k in range(self.matrix.shape[1]) if not gone.start <= k < gone.stop]
+        terms = (*self.terms[:number], *self.terms[number + 1 :])
+        return Design(self.rows, self.voltage, terms, self.matrix[:, kept])
+
+    def plus(self, term: Term, added: Array) -> "Design":
+        """The same and one term more."""
+        matrix = np.concatenate([self.matrix, added], axis=1)
+        return Design(self.rows, self.voltage, (*self.terms, term), matrix)
+
+
+def base_design(rows: WeakRows, *, voltage: bool) -> Design:
+    """Effort, constant, and with a voltage the velocity."""
+    found = [rows.column(lambda s: s.effort), np.ones(rows.left.size)]
+    if voltage:
+        found.append(rows.column(lambda s: s.velocity_rad_s))
+    return Design(rows, voltage, (), np.stack(found, axis=1))
+
+
+def design(rows: WeakRows, terms: Sequence[Term], electric: Electric, *, voltage: bool) -> Design:
+    """The base and these terms."""
+    found = base_design(rows, voltage=voltage)
+    for term in terms:
+        found = found.plus(term, columns(term, rows, electric))
+    return found
+
+
+def electric_of(found: Design, coefficients: Array) -> Electric:
+    """The electric torque, in units of the effort, by the present equation."""
+    if not found.voltage:
+        return lambda s: s.effort
+    back = min(float(coefficients[2] / coefficients[0]), 0.0)
+
+    def electric(stretch: Stretch) -> Array:
+        return np.asarray(stretch.effort + back * stretch.velocity_rad_s)
+
+    return electric
+
+
+def solve(matrix: Array, left: Array, weight: Array) -> Array:
+    """Weighted least squares; `weight` is one over the standard deviation."""
+    heavy = matrix * weight[:, None]
+    scale = np.linalg.norm(heavy, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    gram = heavy.T @ heavy / np.outer(scale, scale)
+    found = np.linalg.lstsq(gram, heavy.T @ (left * weight) / scale, rcond=1e-10)[0]
+    return np.asarray(found / scale)
+
+
+def usual_torques(rows: WeakRows) -> Array:
+    """What effort, speed, friction and a weight may make, whatever of it is there."""
+    return np.stack(
+        [
+            *base_design(rows, voltage=True).matrix.T,
+            rows.column(lambda s: np.sign(s.velocity_rad_s)),
+            rows.column(lambda s: np.nan_to_num(np.sin(s.angle_rad))),
+            rows.column(lambda s: np.nan_to_num(np.cos(s.angle_rad))),
+        ],
+        axis=1,
+    )
+
+
+def weights(rows: WeakRows, errors: Array) -> Array:
+    """One over the scatter of the errors at each row's speed, zero where it sticks; (rows,).
+
+    What holds a motor that sticks takes any value: such rows tell nothing of the equation.
+    """
+    speed = np.abs(rows.velocity_rad_s)
+    parts = np.array_split(np.argsort(speed), BINS)
+    parts = [part for part in parts if part.size]
+    scatter = np.array([1.4826 * np.median(np.abs(errors[part])) for part in parts])
+    middle = np.array([np.median(speed[part]) for part in parts])
+    found = np.interp(speed, middle, scatter)
+    least = LEAST_SCATTER * float(np.sqrt(np.mean(scatter**2)))
+    turning = speed > STICKS * float(np.sqrt(np.mean(speed**2)))
+    return np.where(turning, 1.0 / np.maximum(found, max(least, 1e-12)), 0.0)

@@ -1,0 +1,183 @@
+"""A locked output: twist against torque.
+
+    twist = c tau + (b/2) s + offset,      s = clip(p / d, -1, 1)
+
+    c    compliance of the transmission
+    b    play; p is the torque less what friction holds back, an interval of half width F that the
+         torque drags along (play operator), about m where friction is not the same either way
+    d    over which torque the play is crossed
+
+A spring alone is the base. Friction without play is twist = c p. Source of the operator:
+Visintin, Differential Models of Hysteresis (1994), ch. III.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_bench.diagnosis.elsewhere import gate
+from servo_bench.diagnosis.elsewhere.channels import Array, torque_of
+from servo_bench.errors import FitError
+from servo_bench.recording.recording import Recording
+
+POINTS = 1500
+"""Rows that are used of each group of runs."""
+FRICTIONS = np.linspace(0.0, 0.9, 19)
+MIDDLES = np.linspace(-0.4, 0.4, 9)
+CROSSINGS = (0.05, 0.15, 0.4)
+"""Half width F, middle m and crossing d that are tried, over the largest torque of the runs."""
+ALIKE_PEAKS = 1.5
+"""Runs whose largest torques differ by less are judged together; the gentlest ones tell play."""
+BLOCKS = 40
+
+
+@dataclass(frozen=True)
+class Twist:
+    """One fit: `numbers` is (compliance, play, offset), errors in rad over the chosen rows."""
+
+    numbers: Array
+    friction_nm: float
+    middle_nm: float
+    crossing_nm: float
+    errors: Array
+    covariance: Array
+
+    @property
+    def rms_rad(self) -> float:
+        """Of what it leaves."""
+        return float(np.sqrt(np.mean(self.errors**2)))
+
+
+@dataclass(frozen=True)
+class LockedFinding:
+    """The rivals, fitted to the first runs, and their errors on the last ones."""
+
+    spring: Twist
+    hysteresis: Twist
+    play: Twist
+    held: dict[str, float]
+    z: float
+    over_hysteresis: float
+    share: float
+
+
+def judge_locked(recording: Recording, held_out: Recording | None = None) -> LockedFinding:
+    """Spring, spring with friction, spring with play. FitError where torque never reversed."""
+    torque, twist, run = _ramp(recording)
+    unseen = _ramp(held_out) if held_out is not None else (torque, twist, run)
+    numbers = np.unique(run)
+    last = numbers[-max(1, numbers.size // 3) :] if numbers.size > 1 else numbers
+    seen = np.ones(run.size, bool) if held_out is not None else ~np.isin(run, last)
+    judged = np.ones(unseen[2].size, bool) if held_out is not None else np.isin(run, last)
+    if not seen.any():
+        seen = judged = np.ones(run.size, bool)
+    grid = _grid(torque)
+    fits = {
+        "spring": _fit(torque, twist, seen, grid[:, :1], ("torque",)),
+        "hysteresis": _fit(torque, twist, seen, grid, ("dragged",)),
+        "play": _fit(torque, twist, seen, grid, ("torque", "side")),
+    }
+    errors = {name: _errors(fit, name, unseen[0], unseen[1])[judged] for name, fit in fits.items()}
+    squares = {name: _blocks(values**2) for name, values in errors.items()}
+    before, after = squares["spring"], squares["play"]
+    return LockedFinding(
+        **fits,
+        held={name: float(np.sqrt(np.mean(values**2))) for name, values in errors.items()},
+        z=_z(before - after),
+        over_hysteresis=_z(squares["hysteresis"] - after),
+        share=float((before.sum() - after.sum()) / max(before.sum(), 1e-300)),
+    )
+
+
+def _ramp(recording: Recording) -> tuple[Array, Array, Array]:
+    """Torque, twist and run of the gentlest runs, thinned alike."""
+    torque = np.asarray(recording[torque_of(recording)], dtype=np.float64)
+    twist = np.asarray(recording["motor_position_rad"], dtype=np.float64)
+    run = np.asarray(recording["run"] if "run" in recording else np.zeros(torque.size))
+    known = np.isfinite(torque) & np.isfinite(twist)
+    peaks = {n: float(np.abs(torque[known & (run == n)]).max(initial=0.0)) for n in np.unique(run)}
+    least = min((p for p in peaks.values() if p > 0.0), default=0.0)
+    chosen = [n for n, peak in peaks.items() if 0.0 < peak < ALIKE_PEAKS * least]
+    rows = np.flatnonzero(known & np.isin(run, chosen))
+    if rows.size < gate.FEWEST_BLOCKS or torque[rows].min() >= 0.0 or torque[rows].max() <= 0.0:
+        raise FitError(
+            f"{rows.size} rows of torque and twist, and play shows when torque reverses: record "
+            "slow ramps to either side, twice at least, with the output locked."
+        )
+    rows = rows[:: max(1, rows.size // POINTS)]
+    return torque[rows], twist[rows], run[rows]
+
+
+def _grid(torque: Array) -> Array:
+    """(friction, middle) pairs, shape (2, pairs); the first is without friction."""
+    largest = float(np.abs(torque).max())
+    pairs = [(f, m) for f in FRICTIONS for m in MIDDLES if f + abs(m) < 0.95]
+    pairs.sort(key=lambda pair: (pair[0], abs(pair[1])))
+    return largest * np.array(pairs).T
+
+
+def dragged(torque: Array, friction_nm: Array, middle_nm: Array) -> Array:
+    """The play operator on a torque for many half widths at once; shape (samples, pairs)."""
+    found = np.empty((torque.size, friction_nm.size))
+    now = np.clip(0.0, torque[0] - middle_nm - friction_nm, torque[0] - middle_nm + friction_nm)
+    for k, value in enumerate(torque - 0.0):
+        here = value - middle_nm
+        now = np.minimum(np.maximum(now, here - friction_nm), here + friction_nm)
+        found[k] = now
+    return found
+
+
+def _fit(
+    torque: Array, twist: Array, seen: NDArray[np.bool_], grid: Array, kind: tuple[str, ...]
+) -> Twist:
+    crossings = CROSSINGS if "side" in kind else CROSSINGS[:1]
+    moved = dragged(torque, grid[0], grid[1])
+    largest = float(np.abs(torque).max())
+    fits = [
+        _solved(torque, moved[:, k], twist, seen, (float(f), float(m), d * largest), kind=kind)
+        for k, (f, m) in enumerate(grid.T)
+        for d in crossings
+    ]
+    return min(fits, key=lambda fit: fit.rms_rad)
+
+
+def _solved(
+    torque: Array,
+    moved: Array,
+    twist: Array,
+    seen: NDArray[np.bool_],
+    shape: tuple[float, float, float],
+    *,
+    kind: tuple[str, ...],
+) -> Twist:
+    matrix = _matrix(torque, moved, shape[2], kind)[seen]
+    inverse = np.linalg.pinv(matrix.T @ matrix)
+    found = inverse @ (matrix.T @ twist[seen])
+    errors = twist[seen] - matrix @ found
+    scores = np.stack([_blocks(column * errors) for column in matrix.T], axis=1)
+    return Twist(found, *shape, errors, inverse @ (scores.T @ scores) @ inverse)
+
+
+def _matrix(torque: Array, moved: Array, crossing_nm: float, kind: tuple[str, ...]) -> Array:
+    made = {
+        "torque": torque,
+        "dragged": moved,
+        "side": 0.5 * np.clip(moved / crossing_nm, -1.0, 1.0),
+    }
+    return np.stack([*(made[name] for name in kind), np.ones(torque.size)], axis=1)
+
+
+def _errors(fit: Twist, name: str, torque: Array, twist: Array) -> Array:
+    moved = dragged(torque, np.array([fit.friction_nm]), np.array([fit.middle_nm]))[:, 0]
+    kinds = {"spring": ("torque",), "hysteresis": ("dragged",), "play": ("torque", "side")}
+    return np.asarray(twist - _matrix(torque, moved, fit.crossing_nm, kinds[name]) @ fit.numbers)
+
+
+def _blocks(values: Array) -> Array:
+    return np.array([part.sum() for part in np.array_split(values, BLOCKS)])
+
+
+def _z(gain: Array) -> float:
+    spread = float(gain.std(ddof=1)) / np.sqrt(gain.size)
+    return float(gain.mean()) / spread if spread > 0.0 else 0.0

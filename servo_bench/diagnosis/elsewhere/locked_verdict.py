@@ -1,0 +1,85 @@
+"""The verdict on a locked output, in words and in the public schema."""
+
+from collections.abc import Collection
+
+import numpy as np
+
+from servo_bench.diagnosis.elsewhere import gate
+from servo_bench.diagnosis.elsewhere.locked import LockedFinding
+from servo_bench.diagnosis.verdict import Cause, ErrorFigures, Quantity, Verdict
+from servo_bench.recording.recording import Recording
+
+PLAY = "backlash_width"
+NEXT = (
+    "Ramp the torque slowly to either side at two amplitudes, output locked: friction alone opens "
+    "a loop that grows with the amplitude, play one of a fixed width."
+)
+
+
+def locked_verdict(
+    found: LockedFinding,
+    recording: Recording,
+    without: Collection[str] = (),
+    only: Collection[str] = (),
+) -> Verdict:
+    """Play, where it pays beside a linear spring; else none."""
+    before, after = found.held["spring"], found.held["play"]
+    tried = PLAY not in without and (not only or PLAY in only)
+    pays = tried and found.z >= gate.HELD_Z and found.share >= gate.HELD_SHARE
+    play = float(found.play.numbers[1])
+    named = pays and play > 0.0
+    error = ErrorFigures(
+        before=before,
+        after=after if named else before,
+        noise_floor=0.0,
+        share_explained=float(np.clip(found.share, 0.0, 1.0)) if named else 0.0,
+        signal="twist",
+        unit="rad",
+    )
+    if not named:
+        return Verdict(
+            verdict="none",
+            sentence="A linear spring is all that these runs need: play does not pay on runs that "
+            f"no fit saw ({before:.3g} rad with a spring, {after:.3g} with play).",
+            error=error,
+            next_run=NEXT,
+        )
+    nominal = recording.plant.backlash_gap_rad if recording.plant is not None else None
+    change = play - (nominal or 0.0)
+    deviation = float(np.sqrt(found.play.covariance[1, 1]))
+    alone = found.over_hysteresis >= gate.HELD_Z
+    rival = () if alone else ("coulomb",)
+    return Verdict(
+        verdict="named",
+        sentence=f"The transmission has {np.rad2deg(play):.2f} deg of play"
+        f"{'' if alone else ', or friction that holds a soft spring'}: on runs that no fit saw the "
+        f"error of the twist falls from {np.rad2deg(before):.3f} to {np.rad2deg(after):.3f} deg.",
+        causes=(
+            Cause(
+                effect=PLAY,
+                parameters={
+                    "change_rad": Quantity(
+                        value=change,
+                        unit="rad",
+                        ci95=(change - 1.96 * deviation, change + 1.96 * deviation),
+                        standard_error=deviation,
+                    )
+                },
+                confidence=gate.confidence(found.z, found.over_hysteresis),
+                ambiguous_with=rival,
+                splitting_experiment="" if alone else NEXT,
+                evidence=found.z,
+                rival="coulomb",
+                over_rival=found.over_hysteresis,
+            ),
+        ),
+        error=error,
+        next_run="" if alone else NEXT,
+        effects={PLAY: {"change_rad": change}},
+        nuisances={
+            "compliance_rad_per_nm": float(found.play.numbers[0]),
+            "friction_nm": found.play.friction_nm,
+            "friction_middle_nm": found.play.middle_nm,
+            "crossing_nm": found.play.crossing_nm,
+        },
+    )

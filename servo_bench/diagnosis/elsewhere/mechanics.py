@@ -1,0 +1,158 @@
+"""From an effort to a motion: rows, selection, and the gain on what no fit saw."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from servo_bench.diagnosis.elsewhere import gate
+from servo_bench.diagnosis.elsewhere.channels import (
+    Array,
+    Motion,
+    effort_of,
+    stretches,
+    velocity_lag_s,
+)
+from servo_bench.diagnosis.elsewhere.equation import (
+    Design,
+    base_design,
+    design,
+    electric_of,
+    solve,
+    usual_torques,
+    weights,
+)
+from servo_bench.diagnosis.elsewhere.selection import Selected, folds_of, select
+from servo_bench.diagnosis.elsewhere.weak import WeakRows, noise_share, weak_rows
+from servo_bench.errors import ConfigError, FitError
+from servo_bench.recording.recording import Recording
+
+MOTIONS: tuple[Motion, ...] = ("motor_velocity_rad_s", "motor_position_rad")
+
+
+@dataclass(frozen=True)
+class MechanicsFinding:
+    """Everything that a verdict is written from; errors are of the acceleration, in rad/s2.
+
+    `before` and `after` are on held-out rows, `floor` is what the motion's sensor makes, and
+    `fit_before`, `fit_after` are 1 - (error/acceleration)^2 there, in the selection's weights.
+    """
+
+    recording: Recording
+    effort: str
+    motion: Motion
+    lag_s: float
+    selected: Selected
+    covariance: Array
+    before: float
+    after: float
+    floor: float
+    fit_before: float
+    fit_after: float
+
+    @property
+    def voltage(self) -> bool:
+        """Whether a voltage drives."""
+        return self.effort == "voltage_v"
+
+
+def judge_mechanics(
+    recordings: Sequence[Recording],
+    held_out: Recording | None = None,
+    *,
+    without: Collection[str] = (),
+    only: Collection[str] = (),
+) -> MechanicsFinding:
+    """Select on the recordings, judge on the held-out one, else on the last fold of theirs."""
+    every = (*recordings, *((held_out,) if held_out is not None else ()))
+    efforts = {effort_of(one) for one in every}
+    if len(efforts) > 1:
+        raise ConfigError(
+            f"the recordings are driven by {' and '.join(sorted(efforts))}: diagnose those with "
+            "the same effort together."
+        )
+    effort = efforts.pop()
+    rows, motion = _rows(recordings, effort)
+    voltage = effort == "voltage_v"
+    selected = select(rows, voltage=voltage, without=without, only=only)
+    now = selected.design
+    plain = base_design(rows, voltage=voltage)
+    if held_out is not None:
+        unseen, _ = _rows([held_out], effort, motion, rows.half)
+        electric = electric_of(now, selected.coefficients)
+        judged = design(unseen, now.terms, electric, voltage=voltage)
+        judged_plain = base_design(unseen, voltage=voltage)
+        fitted, here = np.ones(rows.left.size, bool), np.ones(unseen.left.size, bool)
+    else:
+        folds = folds_of(rows)
+        here = folds == folds.max()
+        fitted, judged, judged_plain = ~here, now, plain
+    left = judged.rows.left[here]
+    scale = np.where(selected.weight > 0.0, 1.0, 0.0)
+    errors = [
+        left
+        - seen.matrix[here]
+        @ solve(made.matrix[fitted], rows.left[fitted], (selected.weight * scale)[fitted])
+        for made, seen in ((plain, judged_plain), (now, judged))
+    ]
+    weight = weights(judged.rows, judged.rows.left - judged.matrix @ selected.coefficients)[here]
+    if not weight.any():
+        raise FitError("the held-out part never moves: give one in which the motor turns.")
+    before, after = (float(np.sqrt(np.average(e**2, weights=weight > 0.0))) for e in errors)
+    about = float(np.sum((left * weight) ** 2))
+    fits = [1.0 - float(np.sum((e * weight) ** 2)) / about for e in errors]
+    return MechanicsFinding(
+        recording=recordings[0],
+        effort=effort,
+        motion=motion,
+        lag_s=velocity_lag_s(recordings[0]),
+        selected=selected,
+        covariance=_covariance(selected),
+        before=before,
+        after=after,
+        floor=noise_share(rows) * float(rows.left.std()),
+        fit_before=fits[0],
+        fit_after=fits[1],
+    )
+
+
+def _rows(
+    recordings: Sequence[Recording], effort: str, motion: Motion | None = None, half: int = 0
+) -> tuple[WeakRows, Motion]:
+    """Weak rows of the motion that the effort explains best. FitError where there are too few."""
+    found: list[tuple[float, WeakRows, Motion]] = []
+    for name in MOTIONS if motion is None else (motion,):
+        if any(name not in one for one in recordings):
+            continue
+        parts = [s for k, one in enumerate(recordings) for s in stretches(one, k, name, effort)]
+        if not parts:
+            continue
+        rows = weak_rows(parts, name, half)
+        if rows.left.size:
+            found.append((_plainly_left(rows), rows, name))
+    if not found or int(found[0][1].block.max()) + 1 < gate.FEWEST_BLOCKS:
+        raise FitError(
+            f"less than {gate.FEWEST_BLOCKS} s without holes have both {effort} and the motor's "
+            "motion. Record longer, or mend the map so that rows are kept."
+        )
+    _, rows, name = min(found, key=lambda one: one[0])
+    if not float(rows.left.std()) > 0.0:
+        raise FitError("the motor never moves: record with an effort that turns it.")
+    return rows, name
+
+
+def _plainly_left(rows: WeakRows) -> float:
+    """Share of the acceleration that the usual torques leave."""
+    matrix = usual_torques(rows)
+    errors = rows.left - matrix @ solve(matrix, rows.left, np.ones(rows.left.size))
+    return float(errors @ errors) / max(float(rows.left @ rows.left), 1e-300)
+
+
+def _covariance(selected: Selected) -> Array:
+    """Block sandwich of the coefficients."""
+    now: Design = selected.design
+    heavy = now.matrix * selected.weight[:, None]
+    errors = (now.rows.left - now.matrix @ selected.coefficients) * selected.weight
+    sums = np.stack([np.bincount(now.rows.block, c * errors) for c in heavy.T], axis=1)
+    inverse = np.linalg.pinv(heavy.T @ heavy, hermitian=True)
+    return np.asarray(inverse @ (sums.T @ sums) @ inverse)

@@ -1,0 +1,153 @@
+"""The verdict on effort and motion, in words and in the public schema."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from servo_bench.diagnosis.classes import class_of, splitting
+from servo_bench.diagnosis.elsewhere import gate
+from servo_bench.diagnosis.elsewhere.channels import Array
+from servo_bench.diagnosis.elsewhere.mechanics import MechanicsFinding
+from servo_bench.diagnosis.elsewhere.selection import Step
+from servo_bench.diagnosis.free import unit_of
+from servo_bench.diagnosis.verdict import Cause, ErrorFigures, Quantity, Verdict
+
+UNITS = {"current_a": "A", "voltage_v": "V"}
+
+
+def mechanics_verdict(found: MechanicsFinding) -> Verdict:
+    """Named causes with sizes, or none with the reason."""
+    causes = tuple(_causes(found))
+    explainable = found.before**2 - found.floor**2
+    share = (found.before**2 - found.after**2) / explainable if explainable > 0.0 else 0.0
+    error = ErrorFigures(
+        before=found.before,
+        after=found.after,
+        noise_floor=found.floor,
+        share_explained=float(np.clip(share, 0.0, 1.0)),
+        signal="motor acceleration",
+        unit="rad/s2",
+    )
+    split = next((c.splitting_experiment for c in causes if c.splitting_experiment), "")
+    return Verdict(
+        verdict="named" if causes else "none",
+        sentence=_sentence(found, causes, error),
+        causes=causes,
+        error=error,
+        notes=tuple(_notes(found)),
+        next_run=split,
+        effects={c.effect: {n: q.value for n, q in c.parameters.items()} for c in causes},
+        nuisances=_nuisances(found),
+    )
+
+
+def _causes(found: MechanicsFinding) -> Iterator[Cause]:
+    """One a name; the lines of one effect are its first, second and third strength."""
+    steps = found.selected.steps
+    for name in dict.fromkeys(step.term.name for step in steps):
+        own = [(k, s) for k, s in enumerate(steps) if s.term.name == name]
+        parameters: dict[str, Quantity] = {}
+        for number, step in own:
+            parameters |= _sizes(found, number, step)
+        best = max((s for _, s in own), key=lambda s: s.z)
+        there = {s.term.name for s in steps}
+        rivals = [(n, z) for n, z in best.rivals if n not in there]
+        near = {n for n, z in rivals if z < gate.HELD_Z} | (class_of(name) - {name})
+        over = [(n, z) for n, z in rivals if n not in near]
+        rival = min(over, key=lambda one: one[1]) if over else None
+        yield Cause(
+            effect=name,
+            parameters=parameters,
+            confidence=gate.confidence(best.z, rival[1] if rival else gate.SECURE_Z),
+            ambiguous_with=tuple(sorted(near)),
+            splitting_experiment=splitting({name, *near}) if near else "",
+            evidence=best.z,
+            rival=rival[0] if rival else None,
+            over_rival=rival[1] if rival else None,
+        )
+
+
+def _sizes(found: MechanicsFinding, number: int, step: Step) -> dict[str, Quantity]:
+    """Strength (and phase) by the delta method, and the shape that was chosen."""
+    term, chosen = step.term, found.selected
+    own = chosen.design.owned(number)
+    at = [0, *range(own.start, own.stop)]
+    values = chosen.coefficients[at]
+    spread = found.covariance[np.ix_(at, at)]
+    ratio = values[1:] / values[0]
+    size = float(np.hypot.reduce(ratio)) if term.phase is not None else float(ratio[0])
+    toward = ratio / size if size else np.ones_like(ratio)
+    slope = np.concatenate([[-size], toward]) / values[0]
+    factor = term.size or 1.0
+    found_sizes = {term.strength: _quantity(found, term.strength, size * factor, slope, spread)}
+    if term.phase is not None:
+        phase = float(np.arctan2(ratio[1], ratio[0]))
+        turn = np.array([0.0, -ratio[1], ratio[0]]) / (max(size, 1e-300) ** 2 * values[0])
+        found_sizes[term.phase] = _quantity(found, term.phase, phase, turn, spread)
+    for name, value in term.shape.items():
+        found_sizes[name] = Quantity(
+            value=value, unit=unit_of(name), ci95=(value, value), standard_error=0.0
+        )
+    return found_sizes
+
+
+def _quantity(
+    found: MechanicsFinding, name: str, value: float, slope: Array, spread: Array
+) -> Quantity:
+    error = float(np.sqrt(max(float(slope @ spread @ slope), 0.0)))
+    unit = unit_of(name)
+    effort = UNITS.get(found.effort)
+    if effort is not None and unit.startswith("N m"):
+        unit = effort + unit.removeprefix("N m")
+    return Quantity(
+        value=value,
+        unit=unit,
+        ci95=(value - 1.96 * error, value + 1.96 * error),
+        standard_error=error,
+    )
+
+
+def _nuisances(found: MechanicsFinding) -> dict[str, float]:
+    values = found.selected.coefficients
+    numbers = {
+        "acceleration_per_effort": float(values[0]),
+        "offset_effort": float(values[1] / values[0]),
+        "velocity_lag_s": found.lag_s,
+    }
+    if found.voltage:
+        numbers["back_emf_v_s_per_rad"] = float(-values[2] / values[0])
+    return numbers
+
+
+def _notes(found: MechanicsFinding) -> Iterator[str]:
+    yield (
+        f"Acceleration R2 on held-out rows: {found.fit_before:.4f} without any effect, "
+        f"{found.fit_after:.4f} with those named."
+    )
+    if found.effort in UNITS:
+        yield (
+            f"Torques are in units of the effort, {UNITS[found.effort]}: neither K_T nor J was "
+            "needed, and only their ratio shows."
+        )
+    if found.lag_s:
+        yield f"The velocity channel comes {found.lag_s * 1e3:.2g} ms after the position's slope."
+    refused = found.selected.refused
+    if refused is not None:
+        yield (
+            f"The best of what was refused is {refused.term.name}: {100.0 * refused.share:.1f} % "
+            f"of the held-out error, z = {refused.z:.1f}."
+        )
+
+
+def _sentence(found: MechanicsFinding, causes: tuple[Cause, ...], error: ErrorFigures) -> str:
+    if not causes:
+        return (
+            f"Nothing pays: inertia, {'back-EMF' if found.voltage else 'torque'} and an offset "
+            f"explain {100.0 * found.fit_before:.1f} % of the acceleration, and no effect of the "
+            "catalogue takes a part of the rest on blocks that no fit saw."
+        )
+    names = ", ".join(c.effect.replace("_", " ") for c in causes)
+    return (
+        f"The plain motor lacks {names}: its acceleration error on data that no fit saw falls from "
+        f"{error.before:.3g} to {error.after:.3g} {error.unit}."
+    )

@@ -1,0 +1,260 @@
+"""Which effects pay: forward by the gain on blocks that did not choose them, then backward.
+
+Blocks are in FOLDS parts: whole records where there are enough, else stretches of time. A part's
+errors come from coefficients of the others. Costs are pseudo-Huber sums of errors over their
+scatter at that speed, block by block; an effect's evidence is the mean of its blocks' gains over
+the standard error of that mean.
+"""
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_bench.diagnosis.elsewhere import gate
+from servo_bench.diagnosis.elsewhere.channels import Array
+from servo_bench.diagnosis.elsewhere.equation import (
+    Design,
+    base_design,
+    design,
+    electric_of,
+    solve,
+    usual_torques,
+    weights,
+)
+from servo_bench.diagnosis.elsewhere.spectrum import lines
+from servo_bench.diagnosis.elsewhere.terms import Electric, Term, candidates, columns
+from servo_bench.diagnosis.elsewhere.weak import WeakRows
+
+HUBER = 3.0
+LARGEST_OFF = 2.0
+"""How far from one the coefficient of an effect of fixed size may be, either way."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """What one term gains on held-out blocks; `rivals` are the best of every other effect."""
+
+    term: Term
+    z: float
+    share: float
+    rivals: tuple[tuple[str, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Selected:
+    """The equation at the end, and what the best refused effect would have gained."""
+
+    design: Design
+    coefficients: Array
+    weight: Array
+    steps: tuple[Step, ...]
+    refused: Step | None
+
+
+def select(
+    rows: WeakRows, *, voltage: bool, without: Collection[str] = (), only: Collection[str] = ()
+) -> Selected:
+    """Forward and backward selection on these rows."""
+    folds = folds_of(rows)
+    now = base_design(rows, voltage=voltage)
+    plain = tuple(candidates(rows, voltage=voltage, without=without, only=only))
+    steps: list[Step] = []
+    refused: Step | None = None
+    made: dict[str, Array] = {}
+    while True:
+        coefficients, weight, electric = fitted(now)
+        now = design(rows, now.terms, electric, voltage=voltage)
+        if len(now.terms) == gate.MOST_CAUSES:
+            break
+        errors = (rows.left - now.matrix @ coefficients) * weight**2
+        tried = [*plain, *lines(rows, errors, electric, now.terms, without=without, only=only)]
+        if voltage:
+            made.clear()  # the electric torque has changed
+        best = _best(now, tried, weight, folds, partial(_made, made, rows, electric))
+        if best is None or not passes(best[0]):
+            refused = best[0] if best is not None else None
+            break
+        steps.append(best[0])
+        now = best[1]
+    now, steps = _backward(now, steps, folds)
+    coefficients, weight, _ = fitted(now)
+    return Selected(now, coefficients, weight, tuple(steps), refused)
+
+
+def passes(step: Step) -> bool:
+    """Whether a gain is beyond chance and worth a name."""
+    return step.z >= gate.HELD_Z and step.share >= gate.HELD_SHARE
+
+
+def fitted(now: Design) -> tuple[Array, Array, Electric]:
+    """Coefficients, weights and the electric torque.
+
+    Weights are told by what the usual torques leave too, else a missing one would hide itself.
+    """
+    matrix = np.concatenate([now.matrix, usual_torques(now.rows)], axis=1)
+    weight = np.ones(now.rows.left.size)
+    for _ in range(3):
+        errors = now.rows.left - matrix @ solve(matrix, now.rows.left, weight)
+        weight = weights(now.rows, errors)
+    coefficients = solve(now.matrix, now.rows.left, weight)
+    return coefficients, weight, electric_of(now, coefficients)
+
+
+def folds_of(rows: WeakRows) -> NDArray[np.int64]:
+    """The part to which each row belongs."""
+    records = np.unique(rows.record)
+    if records.size >= gate.FOLDS:
+        return np.searchsorted(records, rows.record) % gate.FOLDS
+    count = int(rows.block.max(initial=0)) + 1
+    return (rows.block * gate.FOLDS) // max(count, 1)
+
+
+def held_errors(now: Design, weight: Array, folds: NDArray[np.int64]) -> Array:
+    """Errors of every row by coefficients that did not see its part, over their scatter."""
+    matrix, left = now.matrix * weight[:, None], now.rows.left * weight
+    errors = np.zeros(left.size)
+    ones = np.ones(left.size)
+    for part in np.unique(folds):
+        here = folds == part
+        errors[here] = left[here] - matrix[here] @ solve(matrix[~here], left[~here], ones[~here])
+    return errors
+
+
+def block_costs(errors: Array, rows: WeakRows) -> Array:
+    """Pseudo-Huber sums, block by block."""
+    cost = 2.0 * HUBER**2 * (np.sqrt(1.0 + (errors / HUBER) ** 2) - 1.0)
+    return np.asarray(np.bincount(rows.block, cost), dtype=np.float64)
+
+
+def compared(better: Array, worse: Array) -> tuple[float, float]:
+    """(z, share) of the gain from `worse` to `better`.
+
+    z is the larger of two: of the gain, and of the gain over what both cost, block by block, in
+    which a violent block proves no more than a quiet one.
+    """
+    gain = worse - better
+    there = worse + better > 0.0
+    usual = float(np.median(worse[there])) if there.any() else 1.0
+    relative = gain[there] / (worse + better + usual)[there]
+    z = max(_z(gain), _z(relative))
+    return z, float(gain.sum()) / max(float(worse.sum()), 1e-300)
+
+
+def _z(values: Array) -> float:
+    """Mean over its standard error; zero where there is none."""
+    spread = float(values.std(ddof=1)) / np.sqrt(values.size) if values.size > 1 else 0.0
+    return float(values.mean()) / spread if spread > 0.0 else 0.0
+
+
+def _best(
+    now: Design,
+    tried: Sequence[Term],
+    weight: Array,
+    folds: NDArray[np.int64],
+    made: Callable[[Term], Array],
+) -> tuple[Step, Design] | None:
+    """The term that gains most, and the equation with it."""
+    before = block_costs(held_errors(now, weight, folds), now.rows)
+    found: list[tuple[Array, Design]] = []
+    for one in tried:
+        if any(t.name == one.name and t.order == one.order for t in now.terms):
+            continue
+        term, added = _novel(now, one, made(one), weight)
+        if not added.size or _is_small(now, added, weight):
+            continue
+        more = now.plus(term, added)
+        if not _has_meaning(more, weight):
+            continue
+        found.append((block_costs(held_errors(more, weight, folds), now.rows), more))
+    if not found:
+        return None
+    found.sort(key=lambda one: float(one[0].sum()))
+    gain = float((before - found[0][0]).sum())
+    equals = [
+        one
+        for one in found
+        if float((before - one[0]).sum()) >= gate.EQUAL_GAIN * gain
+        and compared(found[0][0], one[0])[0] < gate.SECURE_Z
+    ]
+    costs, best = min(equals or found[:1], key=lambda one: one[1].terms[-1].complexity)
+    rivals: dict[str, float] = {}
+    for other, rival in found:
+        name = rival.terms[-1].name
+        if name != best.terms[-1].name and name not in rivals:
+            rivals[name] = compared(costs, other)[0]
+    return Step(best.terms[-1], *compared(costs, before), tuple(rivals.items())), best
+
+
+def _made(there: dict[str, Array], rows: WeakRows, electric: Electric, term: Term) -> Array:
+    """The columns of a term, computed once."""
+    key = f"{term.name} {sorted(term.shape.items())} {term.strength} {term.size}"
+    if key not in there:
+        there[key] = columns(term, rows, electric)
+    return there[key]
+
+
+def _novel(now: Design, term: Term, added: Array, weight: Array) -> tuple[Term, Array]:
+    """The term and those of its columns that what is there does not make already.
+
+    A phase that cannot be had is fixed: of a pendulum that hardly swings, the cosine is constant.
+    """
+    heavy, there = added * weight[:, None], now.matrix * weight[:, None]
+    there = there / (np.linalg.norm(there, axis=0) + 1e-300)
+    left = heavy - there @ np.linalg.lstsq(there.T @ there, there.T @ heavy, rcond=1e-10)[0]
+    size = np.linalg.norm(heavy, axis=0)
+    novel = np.linalg.norm(left, axis=0) > np.sqrt(gate.ALIKE) * size
+    if term.phase is None or novel.all() or not novel.any():
+        return term, added if novel.any() else added[:, :0]
+    kept = int(np.flatnonzero(novel)[0])
+    return term.at_phase(0.5 * np.pi * kept), added[:, [kept]]
+
+
+def _is_small(now: Design, added: Array, weight: Array) -> bool:
+    """Whether its torque, at the size that fits, is too small beside the effort for a name."""
+    matrix = np.concatenate([now.matrix, added], axis=1)
+    coefficients = solve(matrix, now.rows.left, weight)
+    made = added @ coefficients[now.matrix.shape[1] :]
+    effort = now.matrix[:, 0] * coefficients[0]
+    return float(np.std(made)) < gate.MATERIAL * float(np.std(effort))
+
+
+def _has_meaning(more: Design, weight: Array) -> bool:
+    """Whether the last term's size has the sign that it must have, and the one that was assumed."""
+    coefficients = solve(more.matrix, more.rows.left, weight)
+    term = more.terms[-1]
+    if term.phase is not None:
+        return True
+    size = float(coefficients[-1] / coefficients[0])
+    if term.size is not None:
+        return 1.0 / LARGEST_OFF < size < LARGEST_OFF
+    return size > 0.0 or term.signed
+
+
+def _backward(
+    now: Design, steps: Sequence[Step], folds: NDArray[np.int64]
+) -> tuple[Design, list[Step]]:
+    """Take out what does not pay beside all others; every step's figures are as of the end."""
+    while now.terms:
+        _, weight, _ = fitted(now)
+        whole = block_costs(held_errors(now, weight, folds), now.rows)
+        figures = [
+            compared(whole, block_costs(held_errors(now.without(k), weight, folds), now.rows))
+            for k in range(len(now.terms))
+        ]
+        finals = list(_finals(now, steps, figures))
+        failed = [k for k, step in enumerate(finals) if not passes(step)]
+        if not failed:
+            return now, finals
+        now = now.without(min(failed, key=lambda k: finals[k].share))
+    return now, []
+
+
+def _finals(
+    now: Design, steps: Sequence[Step], figures: Sequence[tuple[float, float]]
+) -> Iterator[Step]:
+    for term, (z, share) in zip(now.terms, figures, strict=True):
+        first = next(s for s in steps if s.term is term)
+        yield Step(term, z, share, first.rivals)

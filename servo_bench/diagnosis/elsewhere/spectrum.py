@@ -1,0 +1,95 @@
+"""Lines in the position spectrum of the equation's errors: whole orders, strongest first.
+
+Every effect with an order (cogging, torque ripple) is asked by its own law. A correlation of weak
+rows with a column is one of the rows' adjoint with the torque itself, so that no column is built
+for the orders that come to nothing.
+"""
+
+from collections.abc import Collection, Iterator, Sequence
+
+import numpy as np
+
+from servo_bench.diagnosis.elsewhere.channels import FINE, Array, Stretch
+from servo_bench.diagnosis.elsewhere.terms import (
+    PORTS,
+    SLOWEST_LINE,
+    Electric,
+    Term,
+    order_of,
+    torque,
+)
+from servo_bench.diagnosis.elsewhere.weak import WeakRows, adjoint
+from sim_rig.effects import catalogue
+from sim_rig.effects.effect import Effect
+
+HIGHEST = 160
+MIDDLING = 24
+MOST_POINTS = 6000
+FEWEST_TURNS = 1.0
+STRONGEST = 10
+"""Lines of each effect that are tried by held-out gain."""
+
+
+def lines(
+    rows: WeakRows,
+    errors: Array,
+    electric: Electric,
+    there: Sequence[Term],
+    *,
+    without: Collection[str] = (),
+    only: Collection[str] = (),
+) -> Iterator[Term]:
+    """Terms of the strongest lines; none where no full turn was made. `errors` are weighted."""
+    turns = max(float(np.ptp(s.angle_rad)) for s in rows.stretches) / (2.0 * np.pi)
+    if not np.isfinite(turns) or turns < FEWEST_TURNS:
+        return
+    slow = [_slow(s, w) for s, w in zip(rows.stretches, adjoint(rows, errors), strict=True)]
+    for effect in catalogue().values():
+        if effect.port not in PORTS or effect.name in without:
+            continue
+        if only and effect.name not in only:
+            continue
+        yield from _of_effect(effect, slow, electric, there)
+
+
+def _of_effect(
+    effect: Effect,
+    slow: Sequence[tuple[Stretch, Array]],
+    electric: Electric,
+    there: Sequence[Term],
+) -> Iterator[Term]:
+    taken = [t for t in there if t.name == effect.name]
+    strengths = [s for s in effect.strengths if order_of(effect, s) is not None]
+    if len(taken) >= len(strengths):
+        return
+    strength = strengths[len(taken)]
+    order = order_of(effect, strength)
+    phase = strength.removesuffix("torque_nm").removesuffix("ripple_fraction") + "phase_rad"
+    if order is None or phase not in effect.params._fields:
+        return
+    counts = {p.name: 1.0 for p in effect.parameters if p.name.endswith("count")}
+    terms = [
+        Term(effect, strength, phase, {**counts, order: float(n)}) for n in range(2, HIGHEST + 1)
+    ]
+    heights = [_height(term, slow, electric) for term in terms]
+    for k in np.argsort(heights)[::-1][:STRONGEST]:
+        yield terms[k]
+
+
+def _height(term: Term, slow: Sequence[tuple[Stretch, Array]], electric: Electric) -> float:
+    total, size = np.zeros(2), 1e-300
+    for stretch, weight in slow:
+        driven = electric(stretch)
+        for k, phase in enumerate((0.0, 0.5 * np.pi)):
+            made = torque(term, stretch, driven, 1.0, phase)
+            total[k] += float(made @ weight)
+            size += float(made @ made)
+    return float(total @ total) / size
+
+
+def _slow(stretch: Stretch, weight: Array) -> tuple[Stretch, Array]:
+    """At most MOST_POINTS of the points that are slow enough for a line of middling order."""
+    passing = MIDDLING * np.abs(stretch.velocity_rad_s) * stretch.period_s
+    rows = np.flatnonzero(passing < SLOWEST_LINE)[::FINE]
+    rows = rows[:: max(1, rows.size // MOST_POINTS)]
+    return Stretch(stretch.record, stretch.period_s, *(v[rows] for v in stretch[2:])), weight[rows]

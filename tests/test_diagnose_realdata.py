@@ -1,0 +1,131 @@
+"""Verdicts on measured data from four other benches; skipped where the folder is absent.
+
+What must come out is what those who measured say, or another part of their data: the cogging map
+held at standstill, the play that a thesis publishes.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from servo_bench.diagnosis.elsewhere import diagnose_open, is_open
+from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.errors import ConfigError, FitError
+from servo_bench.recording.plant import ForeignPlant
+from servo_bench.recording.recording import Recording
+from tests.foreign_files import REALDATA, measured
+from tests.test_foreign_realdata import CYCLOIDAL, bam, cycloidal, laas, undcmotor
+
+TARGETED = ("coulomb", "viscous", "stribeck", "cogging")
+
+
+def static_map() -> tuple[int, float]:
+    """The strongest order of the holding current against angle, and its amplitude in A."""
+    recording = laas("stopped_data")
+    angle, current = recording["motor_position_rad"], recording["current_a"]
+    place = np.round(angle / (2 * np.pi) * 720).astype(int)
+    places = np.unique(place)
+    at = np.array([angle[place == k].mean() for k in places])
+    held = np.array([current[place == k].mean() for k in places])
+    orders = np.arange(2, 161)
+    heights = [abs(np.mean((held - held.mean()) * np.exp(1j * n * at))) for n in orders]
+    best = int(np.argmax(heights))
+    return int(orders[best]), 2.0 * float(heights[best])
+
+
+def lines_of(verdict: Verdict) -> dict[float, float]:
+    """Amplitude by order."""
+    found = next(c for c in verdict.causes if c.effect == "cogging").parameters
+    return {
+        found[f"{place}order"].value: found[f"{place}torque_nm"].value
+        for place in ("", "second_", "third_")
+        if f"{place}order" in found
+    }
+
+
+def test_cogging_of_the_direct_drive_is_that_of_its_static_map() -> None:
+    recording = laas("acc_current")
+    assert is_open(recording)
+    verdict = diagnose_open([recording], only=TARGETED)
+    order, amplitude_a = static_map()
+    assert order == 72
+    assert {"coulomb", "cogging"} <= set(verdict.names)
+    assert "stribeck" not in verdict.names
+    assert lines_of(verdict)[order] == pytest.approx(amplitude_a, rel=0.15)
+    assert verdict.error is not None
+    assert verdict.error.after < 0.3 * verdict.error.before
+
+
+def test_what_makes_unseen_data_worse_is_not_named() -> None:
+    """The pendulum's weight is really there, but with it alone the error on unseen parts grows."""
+    measured("bam_xl330/2026-01-15_10h28m10.json")
+    names = sorted(p.stem[-8:] for p in (REALDATA / "bam_xl330").glob("*.json"))
+    verdict = diagnose_open([bam(name) for name in names])
+    assert "stribeck" not in verdict.names
+    assert verdict.error is not None
+    assert (verdict.verdict == "named") == (verdict.error.after < verdict.error.before)
+
+
+def test_nothing_is_invented_where_quantised_speed_is_all_there_is() -> None:
+    verdict = diagnose_open([undcmotor("prbs_open_exp")])
+    assert (verdict.verdict, verdict.causes) == ("none", ())
+    assert "Nothing pays" in verdict.sentence
+
+
+@pytest.mark.parametrize(("name", "play_deg"), CYCLOIDAL.items())
+def test_play_of_a_locked_gear(name: str, play_deg: float) -> None:
+    """Against the figure that was published, and by how much it beats a linear spring."""
+    verdict = diagnose_open([cycloidal(name)])
+    (cause,) = verdict.causes
+    assert cause.effect == "backlash_width"
+    found = float(np.rad2deg(cause.parameters["change_rad"].value))
+    assert found == pytest.approx(play_deg, rel=0.2)
+    assert verdict.error is not None
+    assert verdict.error.after < 0.4 * verdict.error.before
+
+
+def spun(current: NDArray[np.float64], friction_a: float, seed: int) -> Recording:
+    """A motor of 500 rad/s2 a ampere at 1 kHz, its dry friction exact, its sensors noisy."""
+    speed, angle, speeds, angles = 0.0, 0.0, [], []
+    for value in current:
+        drive = value - np.sign(speed) * friction_a - 0.004 * speed
+        speed += 1e-3 * 500.0 * drive
+        angle += 1e-3 * speed
+        speeds.append(speed)
+        angles.append(angle)
+    noise = np.random.default_rng(seed).normal(size=(2, current.size))
+    channels = {
+        "t_s": 1e-3 * np.arange(current.size),
+        "current_a": current,
+        "motor_velocity_rad_s": np.array(speeds) + 1e-2 * noise[0],
+        "motor_position_rad": np.array(angles) + 1e-4 * noise[1],
+    }
+    return Recording(channels, 1e-3, None, None, {}, plant=ForeignPlant(name="spun"))
+
+
+def driven(seed: int) -> NDArray[np.float64]:
+    levels = np.random.default_rng(seed).uniform(-1.0, 1.0, 150)
+    return np.asarray(np.repeat(levels, 100))
+
+
+def test_friction_of_a_known_motor_is_found_in_amperes_and_absent_where_there_is_none() -> None:
+    verdict = diagnose_open([spun(driven(1), 0.15, 2)], only=TARGETED)
+    assert "coulomb" in verdict.names
+    (cause,) = (c for c in verdict.causes if c.effect == "coulomb")
+    assert cause.parameters["torque_nm"].unit == "A"
+    assert cause.parameters["torque_nm"].value == pytest.approx(0.15, rel=0.1)
+    assert "coulomb" not in diagnose_open([spun(driven(1), 0.0, 2)], only=TARGETED).names
+
+
+def test_what_cannot_be_judged_is_said() -> None:
+    short = spun(driven(1)[:2000], 0.1, 2)
+    with pytest.raises(FitError, match="less than 10 s"):
+        diagnose_open([short])
+    with pytest.raises(ConfigError, match="no recording"):
+        diagnose_open([])
+    blind = replace(short, channels={"t_s": short["t_s"], "current_a": short["current_a"]})
+    assert not is_open(blind)
+    with pytest.raises(FitError, match="Map a current"):
+        diagnose_open([blind])

@@ -126,11 +126,10 @@ def test_the_rig_moves_as_it_is_told_and_the_load_follows(rig: SpawnedRig) -> No
 
 
 def test_the_direction_turns_command_and_answer_alike(rig: SpawnedRig) -> None:
-    check_axis(
-        lambda: CanopenAxis(settings(rig.bus, direction=-1)),
-        lambda: is_enabled(rig.bus),
-        period_s=PERIOD_S,
-    )
+    """Of drive and encoder together: turned alone, either would go against the other."""
+    turned = settings(rig.bus, direction=-1)
+    both = replace(turned, encoder=replace(turned.encoder, direction=-1))
+    check_axis(lambda: CanopenAxis(both), lambda: is_enabled(rig.bus), period_s=PERIOD_S)
 
 
 @pytest.mark.parametrize(

@@ -101,6 +101,9 @@ COMMANDS = {
     "benchmark": Entry(
         "servo_bench.cli.benchmark", "Measure the bench, with a reference beside it."
     ),
+    "reference": Entry(
+        "servo_bench.cli.reference", "Every command, option, key, and exit code on one page."
+    ),
 }
 
 

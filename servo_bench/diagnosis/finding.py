@@ -115,7 +115,7 @@ def find_causes(
         recordings, held_out, lost = _put_right(recordings, held_out, base.model, block)
         quick = quick_evidence(recordings, model, QUICK_ROWS, held_out=held_out, block=block)
         base = seek(quick, model, band, iterations=4)
-    grid = None if "quantisation" in without else lattice(recordings[0])
+    grid = None if "quantisation" in without else lattice(quick.fitted[0], base.model)
     report("position spectrum")
     motor, load = motor_lines(quick.fitted[0], base.model), load_lines(quick.fitted[0], base.model)
     turns = _turns(quick)

@@ -128,17 +128,23 @@ class Lattice:
     clearness: float
 
 
-def lattice(recording: Recording, counts: float | None = None) -> Lattice | None:
-    """The coarsest lattice that the load angle lies on, beyond the encoder's own counts."""
-    if "load_angle_rad" not in recording:
+def lattice(comparison: Comparison, model: Model) -> Lattice | None:
+    """The coarsest lattice that the load angle lies on, beyond the encoder's own counts.
+
+    Chips of equal size put the angle itself on something like one: where the simulated angle lies
+    on it too, it is the command's.
+    """
+    rows, piece = comparison.source.rows, comparison.pieces[0].piece
+    if not rows.has("load_angle_rad") or comparison.block != "loop":
         return None
-    angle = np.array(recording["load_angle_rad"], np.float64)
-    angle = angle[np.isfinite(angle)]
+    angle = rows.channel("load_angle_rad")[piece.rows]
+    shown = np.asarray(comparison.source.play(model, piece)["load_angle_rad"])
+    shown, angle = shown[np.isfinite(angle)], angle[np.isfinite(angle)]
     travel = float(np.ptp(angle)) if angle.size else 0.0
     if angle.size < 200 or travel < 20 * COARSEST_QUANTUM_RAD:
         return None
     lowest, highest = 1.0 / COARSEST_QUANTUM_RAD, 1.0 / FINEST_QUANTUM_RAD
-    own = counts or _own_quantum(angle)
+    own = _own_quantum(angle)
     if own > 0.0:
         highest = min(highest, 0.4 / own)
     if highest <= lowest:
@@ -150,7 +156,8 @@ def lattice(recording: Recording, counts: float | None = None) -> Lattice | None
     near = frequency + np.linspace(-0.5, 0.5, 101) / travel
     refined = np.abs(np.exp(2j * np.pi * np.outer(near, centred)).mean(axis=1))
     frequency, clear = float(near[np.argmax(refined)]), float(refined.max())
-    if clear < LATTICE:
+    of_command = abs(np.exp(2j * np.pi * frequency * shown).mean())
+    if clear < LATTICE or of_command > 0.5 * clear:
         return None
     spread = np.sqrt(max(1.0 - clear, 1e-6)) / (travel * np.sqrt(angle.size)) / frequency**2
     return Lattice(1.0 / frequency, float(spread), clear)

@@ -180,7 +180,8 @@ def _quantities(found: Found) -> dict[str, Quantity]:
     deviations = standard_errors(found)
     names = {}
     for unknown, value, deviation in zip(found.unknowns, found.values, deviations, strict=True):
-        error = min(float(deviation), 1e6 * max(abs(float(value)), unknown.step))
+        widest = 1e6 * max(abs(float(value)), unknown.step)
+        error = min(float(deviation), widest) if np.isfinite(deviation) else widest
         names[unknown.name] = Quantity(
             value=float(value),
             unit=unit_of(unknown.field),
@@ -207,7 +208,8 @@ def standard_errors(found: Found) -> Array:
 
 
 def _inverse(matrix: Array) -> Array:
-    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    size = np.where(size > 0.0, size, 1.0)  # what changes nothing has no curvature
     scaled = matrix / np.outer(size, size)
     values, vectors = np.linalg.eigh(scaled)
     wide = np.maximum(values, 1e-10 * max(float(values[-1]), 1e-10))

@@ -1,0 +1,60 @@
+"""What is wrong with a recording before any model is blamed: lost commands, a coarse angle."""
+
+import math
+
+import numpy as np
+import pytest
+
+from servo_bench.diagnosis.comparison import Comparison, compare
+from servo_bench.diagnosis.evidence import SCALES, block_z
+from servo_bench.diagnosis.hygiene import heard, lattice, lost_commands
+from servo_bench.diagnosis.orders import motor_lines
+from sim_rig.model import Model
+from tests.fit_recordings import NOMINAL, recorded, with_channels
+
+MODEL = Model(NOMINAL)
+SLOTS = 900
+
+
+def compared(model: Model, seed: int) -> Comparison:
+    return compare(recorded(model, seed, slots=SLOTS), MODEL, scales=SCALES)
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_lost_commands_are_found_to_the_slot_and_put_right(seed: int) -> None:
+    heard_run = recorded(MODEL, seed, slots=SLOTS)
+    sent = np.array(heard_run["velocity_command_rad_s"])
+    changes = np.flatnonzero(np.diff(sent) == 0.0)[100:300:47] + 1
+    told = sent.copy()
+    told[changes] += 6.0  # what was sent there was never heard: the one before was held
+    original = with_channels(heard_run, velocity_command_rad_s=told)
+    found = lost_commands(compare(original, MODEL, scales=SCALES), MODEL)
+    assert set(changes.tolist()) <= set(found.rows)
+    mended = heard(original, found)["velocity_command_rad_s"]
+    np.testing.assert_array_equal(mended[changes], sent[changes])
+
+
+def test_nothing_is_lost_where_nothing_was() -> None:
+    assert lost_commands(compared(MODEL, 13), MODEL).rows == ()
+
+
+def test_a_coarse_angle_is_measured_by_its_lattice() -> None:
+    coarse = math.radians(0.06)
+    found = lattice(compared(MODEL.with_effect("quantisation", count_rad=coarse), 14), MODEL)
+    assert found is not None
+    assert found.quantum_rad == pytest.approx(coarse, rel=1e-3)
+    assert lattice(compared(MODEL, 14), MODEL) is None
+
+
+@pytest.mark.parametrize("order", [12.0, 24.0])
+def test_a_torque_line_is_found_at_its_order(order: float) -> None:
+    lines = motor_lines(
+        compared(MODEL.with_effect("cogging", torque_nm=0.01, order=order), 15), MODEL
+    )
+    assert lines.torque[0].order == pytest.approx(order, abs=0.2)
+
+
+def test_the_advantage_of_nothing_over_itself_is_none() -> None:
+    costs = np.random.default_rng(1).uniform(1.0, 2.0, 50)
+    assert block_z(costs, costs) == 0.0
+    assert block_z(costs, costs + 1.0) > 10.0 or np.ptp(costs) == 0.0

@@ -15,9 +15,7 @@ pytestmark = pytest.mark.skipif("diagnose" not in COMMANDS, reason="there is no 
 SECONDS = 8.0
 
 
-@pytest.mark.parametrize(
-    ("seed", "effect"), [(1501, "cogging"), (1502, "transport_delay"), (1503, "coulomb_friction")]
-)
+@pytest.mark.parametrize(("seed", "effect"), [(1501, "cogging")])
 def test_a_hidden_effect_is_named(seed: int, effect: str) -> None:
     line = run_trial(Question(seed=seed, effect=effect, seconds=SECONDS))
     assert line["failure"] == ""

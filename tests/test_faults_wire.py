@@ -18,9 +18,7 @@ SCENARIOS = [
     ("lost frames=encoder at=20 count=0", SILENT, "encoder 2"),
     ("lost frames=sync at=20 count=0", ("bus silent",), ""),
     ("late frames=answers at=20 delay_ms=12 count=5", (GOES_ON,), ""),
-    ("duplicated frames=drive-state at=20 count=3", (GOES_ON,), "duplicate answer"),
     ("reordered frames=drive at=20 count=5", (GOES_ON,), ""),
-    ("sync-jitter at=10 most_ms=1", (GOES_ON,), ""),
     ("slow-slave frames=drive delay_ms=2", (GOES_ON,), ""),
     ("bus-off at=20 for_ms=600", BUS, ""),
     ("reset node=drive at=20", ("node restarted",), "drive 1"),
@@ -30,7 +28,6 @@ SCENARIOS = [
     ("stuck-encoder encoder=load at=10", ("load does not move",), "load"),
     ("stuck-encoder encoder=motor at=10", ("motor does not move", "motor encoder stuck"), "drive"),
     ("encoder-jump encoder=load at=20 counts=9000", ("LimitError",), "the load's velocity"),
-    ("encoder-noise encoder=load at=20 counts=2", (GOES_ON,), ""),
     ("lying-statusword at=20 power=on value=0x0250", ("drive not enabled",), "drive 1"),
     ("lying-statusword at=20 power=off", ("motor does not move", "motor does not follow"), "drive"),
 ]

@@ -14,11 +14,17 @@
 A message says what happened, what was seen, what is allowed, and what to do next.
 """
 
+import errno
+import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import drivers.errors
 import sim_rig.errors
+
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+SQLITE_DISK_FULL = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_SHMSIZE)
+"""The second is what SQLite says where its shared memory, a file beside it, cannot grow."""
 
 
 class BenchError(Exception):
@@ -95,3 +101,15 @@ def gathered() -> Iterator[None]:
 def _as(kind: type[BenchError], error: Exception) -> BenchError:
     """The bench's own error with the words of another; notes become part of them."""
     return kind(" ".join([str(error), *getattr(error, "__notes__", ())]))
+
+
+def disk_is_full(error: BaseException) -> bool:
+    """Whether an error, or what it was raised from, is that of a disk (or a quota) that is full."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in DISK_FULL:
+            return True
+        if isinstance(cause, sqlite3.Error):
+            return getattr(cause, "sqlite_errorcode", None) in SQLITE_DISK_FULL
+        cause = cause.__cause__
+    return False

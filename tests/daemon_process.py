@@ -67,7 +67,7 @@ def write_bench(
         (folder / "experiments" / f"{name}.toml").write_text(text)
     rig_line = 'rig = "rigs/paper.toml"\nsimulated = true'
     if rig is not None:
-        (folder / "rig.toml").write_text(_toml(rig.model_dump(mode="json", exclude_none=True)))
+        (folder / "rig.toml").write_text(rig_text(rig))
         rig_line = 'rig = "rig.toml"'
     bench = folder / "bench.toml"
     names = ", ".join(f'"experiments/{name}.toml"' for name in seconds or ("short", "long"))
@@ -75,6 +75,11 @@ def write_bench(
         f"{rig_line}\nexperiments = [{names}]\n{more}\n[network]\n{network}\n[run]\n{run}\n"
     )
     return bench
+
+
+def rig_text(rig: RigConfig) -> str:
+    """A rig as its file."""
+    return _toml(rig.model_dump(mode="json", exclude_none=True))
 
 
 def _toml(table: dict[str, Any], prefix: str = "") -> str:

@@ -117,7 +117,7 @@ def test_only_a_permission_leads_to_the_rigs_own_bus(
 ) -> None:
     opened: list[bool] = []
 
-    def play(*_: object, simulated: bool) -> None:
+    def play(*_: object, simulated: bool, **__: object) -> None:
         opened.append(simulated)
         raise WireError("nobody is there")
 

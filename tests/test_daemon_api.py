@@ -4,9 +4,11 @@ The daemon's watch is not started here, so nothing that waits is ever played.
 """
 
 import asyncio
+import errno
 import json
 import re
 import shutil
+import sqlite3
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +16,11 @@ import numpy as np
 import pytest
 from starlette.datastructures import Headers
 
+from servo_bench.catalogue import beside as beside_files
+from servo_bench.catalogue import index
 from servo_bench.catalogue.beside import replace_json
 from servo_bench.clock import NS_PER_S
-from servo_bench.daemon import core
+from servo_bench.daemon import api, core
 from servo_bench.daemon.api import build_app
 from servo_bench.daemon.config import load_bench
 from servo_bench.daemon.core import Daemon
@@ -29,6 +33,7 @@ from tests.daemon_process import write_bench
 
 RECORDINGS = Path(__file__).parent.parent / "recordings"
 TOKEN = "0123456789abcdef0123"  # noqa: S105 - a test's
+CONNECT = sqlite3.connect
 RUN = {"experiment": "short", "operator": "me", "confirm": True}
 
 
@@ -138,14 +143,65 @@ def test_a_full_disk_is_said_before_anything_waits(
     assert client.get("/api/status").json()["queue"] == []
 
 
+def test_a_disk_that_fills_up_under_the_catalogue_is_said_as_such(
+    client: AsgiClient, run_id: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SQLite's own error, from a database that may not grow; and the system's, from a file."""
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(index.sqlite3, "connect", _connected_to_a_full_disk)
+        assert "the disk is full" in problem(client.get("/api/runs"), 507)
+    with monkeypatch.context() as patched:
+        patched.setattr(beside_files.os, "fsync", full)
+        answer = client.patch(f"/api/runs/{run_id}", json={"notes": "x"})
+        assert "make room" in problem(answer, 507)
+        patched.setattr(api.library, "detail", full)
+        assert "Make room" in problem(client.get(f"/api/runs/{run_id}"), 507)
+    assert client.get("/api/runs").json()["total"] == 1
+
+
+def _connected_to_a_full_disk(*_: object, **__: object) -> sqlite3.Connection:
+    connection = CONNECT(":memory:", isolation_level=None)
+    connection.execute("PRAGMA max_page_count = 1")
+    return connection
+
+
 def test_stop_may_be_asked_any_number_of_times_with_or_without_words(client: AsgiClient) -> None:
     for body in (None, {}, {"operator": "me", "reason": "smoke"}):
         answer = client.post("/api/stop", json=body)
         assert answer.json() == {"stopped": True, "standing": True, "state": "idle"}
-    assert client.get("/api/status").json()["held_reason"] == "stopped by me (smoke)"
+    assert client.get("/api/status").json()["held_reason"] == "stopped by an operator"
     assert not client.post("/api/arm", json={"operator": "me"}).json()["held"]
     assert client.post("/api/stop", content=b"").status_code == 200
     assert client.get("/api/status").json()["held"]
+
+
+def test_the_first_who_stops_stays_named_until_somebody_arms(tmp_path: Path) -> None:
+    """Neither another stop, nor the run's end, nor what goes wrong at it takes the name away."""
+    bench = load_bench(write_bench(tmp_path))
+    daemon = Daemon(bench, log())
+
+    def why() -> str:
+        return str(daemon.status()["held_reason"])
+
+    assert "the daemon was started" in why()
+    daemon.stop("Ada (smoke)")
+    for later in (
+        lambda: daemon.stop("an operator at the page"),
+        lambda: daemon._fail("the drive is in fault"),
+        lambda: daemon._hold("stopped by SIGTERM: 3 of 9 slots played."),
+    ):
+        later()
+        assert why() == "stopped by Ada (smoke)"
+    assert "in fault" in daemon.status()["fault"]["sentence"]
+    daemon.arm("Ada")
+    assert (why(), daemon.status()["held"]) == ("", False)
+    daemon._fail("the wire is cut")
+    daemon.stop("Bob")
+    assert why() == "a fault"
 
 
 def test_a_recording_is_listed_searched_shown_annotated_and_fetched(
@@ -341,6 +397,29 @@ def test_the_live_view_tells_its_status_and_heeds_a_stop(client: AsgiClient) -> 
             return dict(told)
 
     assert asyncio.run(look())["held_reason"] == "stopped by an operator at the page"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ({"operator": "Ada", "reason": "the space bar"}, "Ada (the space bar)"),
+        ({"operator": "Ada\x1b[2J"}, "an operator at the page"),
+        ({"operator": ["Ada"], "more": 1}, "an operator at the page"),
+    ],
+)
+def test_a_stop_over_the_live_view_has_a_name_and_is_heeded_whatever_its_words(
+    client: AsgiClient, words: dict[str, Any], told: str
+) -> None:
+    async def look() -> str:
+        async with client.socket("/api/live") as live:
+            assert (await live.next())["type"] == "websocket.accept"
+            live.send(text=json.dumps({"kind": "stop", **words}))
+            reason = ""
+            while not reason.startswith("stopped"):
+                reason = json.loads((await live.next())["text"])["held_reason"]
+            return reason
+
+    assert asyncio.run(look()) == f"stopped by {told}"
 
 
 def test_another_sites_page_gets_no_live_view(shared: AsgiClient) -> None:

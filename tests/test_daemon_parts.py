@@ -3,9 +3,12 @@
 import errno
 import json
 import os
+import shutil
 import socket
 import struct
+import subprocess
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +18,15 @@ from pydantic import BaseModel
 from servo_bench.cli.daemon import UNIT
 from servo_bench.daemon import store
 from servo_bench.daemon.config import BenchConfig, NetworkConfig, RunConfig, load_bench
-from servo_bench.daemon.live import MAX_ROWS, ReplaySource, TableSource, Viewer, frame, thinned
+from servo_bench.daemon.live import (
+    LINGER_S,
+    MAX_ROWS,
+    ReplaySource,
+    TableSource,
+    Viewer,
+    frame,
+    thinned,
+)
 from servo_bench.daemon.notify import notify, watchdog_s
 from servo_bench.daemon.processes import bus_processes
 from servo_bench.daemon.queue import Queue, Waiting
@@ -171,6 +182,9 @@ def test_a_replay_takes_the_recordings_time_over_its_speed(speed: float) -> None
     assert abs(source.ready() - len(recording) / 2) <= 1
     assert not source.over
     now_ns[0] = round(duration_s / speed * 1e9)
+    assert source.ready() == len(recording)
+    assert not source.over, "pages have yet to fetch its end"
+    now_ns[0] += round(LINGER_S * 1e9)
     assert source.over
     np.testing.assert_array_equal(source.rows(0, len(recording))[:, 3], recording["load_angle_rad"])
     assert ReplaySource(recording, 1.0, 1.0, lambda: 0).ready() == 125
@@ -182,6 +196,9 @@ def test_systemd_is_told_by_its_own_protocol(tmp_path: Path) -> None:
         systemd.bind("\0" + place)
         assert notify("READY=1", "STATUS=up", environment={"NOTIFY_SOCKET": "@" + place})
         assert systemd.recv(100) == b"READY=1\nSTATUS=up"
+        # one who does not read fills what the kernel keeps, and does not hold the daemon up
+        beat = partial(notify, "WATCHDOG=1", environment={"NOTIFY_SOCKET": "@" + place})
+        assert not all(beat() for _ in range(10_000))
     assert not notify("READY=1", environment={})
     assert not notify("READY=1", environment={"NOTIFY_SOCKET": str(tmp_path / "gone")})
     assert watchdog_s({"WATCHDOG_USEC": "10000000"}) == 10.0
@@ -197,6 +214,20 @@ def test_the_unit_lets_a_run_outlive_the_web_side_and_watches_it() -> None:
     ):
         assert wanted in lines
     assert not [line for line in lines if line.startswith("RestrictRealtime")]
+
+
+def test_systemd_understands_every_line_of_the_unit(tmp_path: Path) -> None:
+    verifier = shutil.which("systemd-analyze")
+    if verifier is None:
+        pytest.skip("no systemd-analyze here: it reads a unit as systemd does")
+    program = shutil.which("true")
+    unit = tmp_path / UNIT.name
+    text = UNIT.read_text()
+    unit.write_text(text.replace("ExecStart=/usr/local/bin/servo-bench", f"ExecStart={program}"))
+    assert program is not None
+    assert program in unit.read_text()
+    done = subprocess.run([verifier, "verify", unit], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_no_bus_process_is_found_where_none_is() -> None:

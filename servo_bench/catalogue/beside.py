@@ -3,7 +3,8 @@
     x.mcap.notes.json      notes, tags, operator: what people wrote; the only place that has them
     x.json                 the figures of its analysis, as `servo-bench analyse --json` writes them
     x.html                 the report of its analysis
-    x.mcap.diagnosis.json  the verdict
+    x.mcap.diagnosis.json  the verdict, as `servo-bench diagnose --json` writes it
+    x.mcap.diagnosis.html  the page of its diagnosis
 
 Each is replaced whole or not at all.
 """
@@ -42,6 +43,7 @@ class Beside(NamedTuple):
     figures: Path
     report: Path
     diagnosis: Path
+    diagnosis_page: Path
 
 
 def beside(recording: Path) -> Beside:
@@ -51,6 +53,7 @@ def beside(recording: Path) -> Beside:
         figures=recording.with_suffix(".json"),
         report=recording.with_suffix(".html"),
         diagnosis=recording.with_name(recording.name + ".diagnosis.json"),
+        diagnosis_page=recording.with_name(recording.name + ".diagnosis.html"),
     )
 
 

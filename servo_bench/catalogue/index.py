@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
-from servo_bench.errors import ConfigError, RecordingError
+from servo_bench.errors import ConfigError, RecordingError, disk_is_full
 
 NAME = ".servo-bench-catalogue.sqlite"
 SCHEMA_VERSION = 1
@@ -66,7 +66,7 @@ class Index:
         try:
             handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         except OSError as error:
-            raise _no_index(self.path, str(error.strerror)) from error
+            raise _no_index(self.path, error, str(error.strerror)) from error
         try:
             fcntl.flock(handle, fcntl.LOCK_EX)
             yield
@@ -131,7 +131,7 @@ class Index:
         try:
             yield
         except sqlite3.OperationalError as error:
-            raise _no_index(self.path, str(error)) from error
+            raise _no_index(self.path, error, str(error)) from error
         except sqlite3.DatabaseError as error:
             raise RecordingError(
                 f"the catalogue {self.path} is damaged ({error}). No recording is: make it anew "
@@ -144,7 +144,8 @@ def _version(connection: sqlite3.Connection) -> int:
     return int(version)
 
 
-def _no_index(path: Path, why: str) -> ConfigError:
+def _no_index(path: Path, error: Exception, words: str) -> ConfigError:
+    why = "the disk is full" if disk_is_full(error) else words  # SQLite may call it an I/O error
     return ConfigError(
         f"the catalogue's index {path} cannot be used: {why}. See who may write there, make room, "
         "or give another place with --index; the recordings are not touched."

@@ -35,7 +35,9 @@ class Bounds(Value):
     """Where a figure must lie; both ends belong to it."""
 
     least: float | None = None
+    """The least that is allowed, in the unit that ends the figure's name."""
     most: float | None = None
+    """The most that is allowed, in the unit that ends the figure's name."""
 
     @model_validator(mode="after")
     def _is_a_range(self) -> "Bounds":
@@ -65,18 +67,26 @@ class AllowedVerdict(Value):
     """`[verdict]`: what the diagnosis may say: "none", "unknown", or the effects it may name."""
 
     allowed: tuple[str, ...] = Field(min_length=1)
+    """The verdicts that pass: "none", "unknown", and names of effects."""
 
 
 class Plan(Value):
-    """The file. `time` is how a software rig plays: "virtual", or "wall" on a bus of its own."""
+    """The whole file."""
 
     name: str
+    """What reports and messages call the plan."""
     experiment: str
+    """The experiment file, beside this file too."""
     rig: str | None = None
+    """The rig file, instead of the experiment's own."""
     time: Literal["virtual", "wall"] = "virtual"
+    """How a software rig plays: in "virtual" time, or in "wall" time on a bus of its own."""
     limits: dict[str, Bounds] = Field(default_factory=dict)
+    """Bounds on figures of the analysis, by their names in its JSON."""
     fit: dict[str, Bounds] = Field(default_factory=dict)
+    """Bounds on numbers of the rig's model that `servo-bench fit` finds, by name."""
     verdict: AllowedVerdict | None = None
+    """What the diagnosis may say; without it none is made."""
 
     @model_validator(mode="before")
     @classmethod

@@ -4,33 +4,22 @@ import json as json_module
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
-import numpy as np
 import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from servo_bench.cli.output import refuse_existing, write_json, write_text
-from servo_bench.diagnosis.diagnose import believed, investigate
-from servo_bench.diagnosis.elsewhere import diagnose_open, is_open
+from servo_bench.diagnosis.concluding import conclude
 from servo_bench.diagnosis.extended import extended_rig, rig_text
-from servo_bench.diagnosis.finding import Finding
-from servo_bench.diagnosis.judgement import verdict_of
-from servo_bench.diagnosis.picture import picture
-from servo_bench.diagnosis.undecided import check_alike, check_effects, open_questions, undecided
+from servo_bench.diagnosis.undecided import check_effects
 from servo_bench.diagnosis.verdict import Cause, Verdict
-from servo_bench.errors import ConfigError, FitError
+from servo_bench.errors import ConfigError
 from servo_bench.recording.mcap_file import load
-from servo_bench.recording.recording import Recording
 from servo_bench.report.diagnosis_page import diagnosis_report
 from servo_bench.rig import RigConfig, load_rig
-from sim_rig.errors import SimRigError
-from sim_rig.model import Model
-
-FAILED = (FitError, SimRigError, np.linalg.LinAlgError)
-"""What an estimate may end in; stated in the verdict."""
 
 
 def add_to(app: typer.Typer) -> None:
@@ -82,13 +71,13 @@ def diagnose(
     check_effects(left_out, alone)
     loaded = [load(path) for path in recordings]
     held_out = load(holdout) if holdout is not None else None
-    check_alike(loaded, held_out)
     config = load_rig(rig) if rig is not None else loaded[0].rig
     if rig_out is not None and config is None:
         raise ConfigError("--rig-out extends a rig, and the recording has none: give --rig.")
-    elsewhere = config is None and all(is_open(one) for one in loaded)
-    model = config.model() if config is not None else None if elsewhere else believed(loaded)
-    found = _concluded(loaded, held_out, model, left_out, alone)
+    with _progress() as told:
+        found = conclude(
+            loaded, rig=config, held_out=held_out, without=left_out, only=alone, report=told
+        )
     _show(found.verdict)
     if json is not None:
         write_json(json, found.verdict.numbers())
@@ -98,49 +87,6 @@ def diagnose(
     for path in (json, report, rig_out):
         if path is not None and path.exists():
             Console().print(f"written: {escape(str(path))}", soft_wrap=True)
-
-
-class Concluded(NamedTuple):
-    """The verdict, and what it was written from, where the data could be judged."""
-
-    verdict: Verdict
-    finding: Finding | None
-
-
-def _concluded(
-    recordings: Sequence[Recording],
-    held_out: Recording | None,
-    model: Model | None,
-    without: Sequence[str],
-    only: Sequence[str],
-) -> Concluded:
-    try:
-        if model is None:
-            judged = diagnose_open(recordings, held_out=held_out, without=without, only=only)
-            return Concluded(judged, None)
-        with _progress() as told:
-            finding = investigate(
-                recordings,
-                model=model,
-                held_out=held_out,
-                without=without,
-                only=only,
-                report=told,
-            )
-            told("writing the verdict")
-            verdict = verdict_of(finding)
-            more = tuple(open_questions(recordings[0]))
-            return Concluded(
-                verdict.model_copy(
-                    update={
-                        "signature": picture(finding),
-                        "undecided": (*verdict.undecided, *more),
-                    }
-                ),
-                finding,
-            )
-    except FAILED as error:
-        return Concluded(undecided(error, recordings), None)
 
 
 def _names(given: Sequence[str] | None) -> tuple[str, ...]:

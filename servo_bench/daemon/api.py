@@ -1,28 +1,25 @@
 """The API: routes, typed in and out, that ask the daemon and the library. See docs/daemon.md."""
 
 import time
-from collections.abc import Awaitable, Callable
-from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, FastAPI, Query, Request, Response, WebSocket
-from fastapi.exceptions import RequestValidationError
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 from starlette.concurrency import run_in_threadpool
-from starlette.exceptions import HTTPException
 
 from servo_bench import __version__
 from servo_bench.daemon import library
 from servo_bench.daemon import models as m
+from servo_bench.daemon.answers import answer_errors, daemon_of
 from servo_bench.daemon.config import Bench
 from servo_bench.daemon.core import Daemon
 from servo_bench.daemon.guard import COOKIE, SESSION_S, Guard, Sessions
 from servo_bench.daemon.page_files import page_file
-from servo_bench.daemon.problems import MEDIA_TYPE, ApiError, problem, problem_of
+from servo_bench.daemon.problems import MEDIA_TYPE, ApiError
 from servo_bench.daemon.reference import reference
 from servo_bench.daemon.requests import chosen_experiment
 from servo_bench.daemon.viewers import Viewers
-from servo_bench.errors import BenchError
+from servo_bench.diagnosis.verdict import Verdict
 from servo_bench.excitation.experiment import Experiment
 from servo_bench.recording.mcap_file import load
 
@@ -38,17 +35,12 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
 Words = Annotated[str, Query(max_length=200)]
 
 
-def _daemon(request: Request) -> Daemon:
-    daemon: Daemon = request.app.state.daemon
-    return daemon
-
-
 def _sessions(request: Request) -> Sessions:
     sessions: Sessions = request.app.state.sessions
     return sessions
 
 
-Served = Annotated[Daemon, Depends(_daemon)]
+Served = Annotated[Daemon, Depends(daemon_of)]
 api = APIRouter(prefix="/api", responses=PROBLEMS)
 
 
@@ -182,7 +174,24 @@ async def recording(daemon: Served, run_id: m.RunId) -> FileResponse:
 @api.get("/runs/{run_id}/report", response_class=HTMLResponse)
 async def report(daemon: Served, run_id: m.RunId) -> HTMLResponse:
     """The report of its analysis, one HTML page."""
-    path = await run_in_threadpool(library.companion, daemon.catalogue, run_id, "report")
+    return await _page_beside(daemon, run_id, "report")
+
+
+@api.get("/runs/{run_id}/diagnosis")
+async def diagnosis(daemon: Served, run_id: m.RunId) -> Verdict:
+    """The verdict of its diagnosis, in the public schema."""
+    return await run_in_threadpool(library.verdict_of, daemon.catalogue, run_id)
+
+
+@api.get("/runs/{run_id}/diagnosis/page", response_class=HTMLResponse)
+async def diagnosis_page(daemon: Served, run_id: m.RunId) -> HTMLResponse:
+    """The page of its diagnosis, one HTML page."""
+    return await _page_beside(daemon, run_id, "diagnosis_page")
+
+
+async def _page_beside(daemon: Daemon, run_id: str, kind: str) -> HTMLResponse:
+    """A page that our own work has made, where no script can run."""
+    path = await run_in_threadpool(library.companion, daemon.catalogue, run_id, kind)
     headers = {"Content-Security-Policy": REPORT_POLICY}
     return HTMLResponse(await run_in_threadpool(path.read_text), headers=headers)
 
@@ -212,7 +221,14 @@ async def samples(
 async def analyse(daemon: Served, run_id: m.RunId) -> m.JobStarted:
     """Analyse a recording (again): figures and report beside it."""
     path = await run_in_threadpool(library.path_of, daemon.catalogue, run_id)
-    return m.JobStarted(job=daemon.jobs.start("analyse", run_id, path).id)
+    return m.JobStarted(job=daemon.start_job("analyse", run_id, path).id)
+
+
+@api.post("/runs/{run_id}/diagnose", status_code=202)
+async def diagnose(daemon: Served, run_id: m.RunId) -> m.JobStarted:
+    """Say (again) what the rig's simulation gets wrong: a verdict and its page beside it."""
+    path = await run_in_threadpool(library.path_of, daemon.catalogue, run_id)
+    return m.JobStarted(job=daemon.start_job("diagnose", run_id, path).id)
 
 
 @api.get("/jobs/{job_id}")
@@ -233,9 +249,7 @@ async def compare(daemon: Served, a: m.RunId, b: m.RunId) -> dict[str, Any]:
 @api.post("/stop")
 async def stop(daemon: Served, asked: m.StopRequest | None = None) -> m.Stopped:
     """Stop the rig now and hold the queue. Needs no turn, and may be asked any number of times."""
-    by = (asked.operator if asked else "") or "an operator"
-    reason = f" ({asked.reason})" if asked and asked.reason else ""
-    standing = daemon.stop(f"{by}{reason}")
+    standing = daemon.stop((asked or m.StopRequest()).words())
     return m.Stopped(standing=standing, state=daemon.state)
 
 
@@ -306,53 +320,5 @@ def build_app(daemon: Daemon, bench: Bench) -> FastAPI:
         return FileResponse(file, headers={"Cache-Control": "no-cache"}, media_type=media_type)
 
     app.add_middleware(Guard, bench=bench, sessions=sessions)
-    _answer_errors(app)
+    answer_errors(app)
     return app
-
-
-def _answer_errors(app: FastAPI) -> None:
-    answers: dict[type[Exception], Callable[..., Awaitable[Response]]] = {
-        BenchError: _bench_error,
-        RequestValidationError: _invalid,
-        HTTPException: _http_error,
-        Exception: _our_fault,
-    }
-    for kind, answer in answers.items():
-        app.add_exception_handler(kind, answer)
-
-
-def _problem(request: Request, status: int, slug: str, detail: str) -> JSONResponse:
-    body = problem(status, slug, detail, request.url.path)
-    return JSONResponse(body, status, media_type=MEDIA_TYPE)
-
-
-async def _bench_error(request: Request, error: BenchError) -> Response:
-    status, slug = problem_of(error)
-    return _problem(request, status, slug, _without_folders(request, str(error)))
-
-
-async def _invalid(request: Request, error: RequestValidationError) -> Response:
-    lines = [
-        f"{'.'.join(str(part) for part in item['loc'])}: {item['msg']}" for item in error.errors()
-    ]
-    return _problem(request, 422, "invalid", "; ".join(lines[:20]))
-
-
-async def _http_error(request: Request, error: HTTPException) -> Response:
-    answer = _problem(request, error.status_code, "http", str(error.detail))
-    answer.headers.update(error.headers or {})
-    return answer
-
-
-async def _our_fault(request: Request, error: Exception) -> Response:
-    _daemon(request).log.error("unexpected", path=request.url.path, exc_info=error)
-    words = "this is a fault of the daemon, which goes on; its log says more."
-    return _problem(request, 500, "unexpected", words)
-
-
-def _without_folders(request: Request, words: str) -> str:
-    """An error's words without where on this machine the recordings are."""
-    bench = _daemon(request).bench
-    for folder in (bench.recordings, bench.state):
-        words = words.replace(f"{folder}/", "").replace(str(folder), Path(folder).name)
-    return words

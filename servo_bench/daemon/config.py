@@ -36,49 +36,67 @@ MIN_TOKEN = 16
 class NetworkConfig(Value):
     """`[network]`: where the daemon listens, and for whom.
 
-    Beyond loopback a token is required, and TLS, or the words `allow_plain_http = true`: then
-    whoever can listen on the network reads the token. `hosts` are the names by which browsers
-    reach it besides the loopback names and `host`.
+    Beyond loopback a token is required, and TLS, or the words `allow_plain_http = true`.
     """
 
     host: str = "127.0.0.1"
+    """Address to listen on; beyond loopback only with a token."""
     port: int = Field(default=PORT, ge=0, le=65535)
+    """TCP port; 0 for a free one, which the log names."""
     hosts: tuple[str, ...] = ()
+    """Names by which browsers reach it, besides the loopback names and `host`."""
     token_file: str | None = None
+    """File with the secret, at least 16 characters, that whoever asks must show."""
     certificate: str | None = None
+    """TLS certificate (PEM); with `key`."""
     key: str | None = None
+    """The certificate's private key (PEM)."""
     allow_plain_http: bool = False
+    """Allows a host beyond loopback without TLS: whoever can listen reads the token."""
     requests_per_second: PositiveFloat = 50.0
+    """Requests a second that one peer may make for long; a stop is never refused."""
     request_burst: PositiveInt = 200
+    """Requests that one peer may make at once."""
     max_body_bytes: PositiveInt = 65536
+    """Largest body of a request, bytes."""
 
 
 class RunConfig(Value):
-    """`[run]`: how runs are played.
-
-    `priority` and `cpu` are the bus loop's. `without_daemon` says what a run does when its daemon
-    has died: "finish" it (a daemon that comes back finds it), or "stop" the rig after
-    `without_daemon_s`. `analyse` writes report and figures after each run.
-    """
+    """`[run]`: how runs are played."""
 
     priority: int = Field(default=PRIORITY, ge=0, le=99)
+    """SCHED_FIFO priority of the bus loop; 0 for none."""
     cpu: int | None = Field(default=None, ge=0)
+    """CPU to pin the bus loop to; by default none."""
     without_daemon: Literal["finish", "stop"] = "finish"
+    """What a run does when its daemon has died: "finish" it (a daemon that comes back finds it), or
+    "stop" the rig."""
     without_daemon_s: PositiveFloat = 5.0
+    """With "stop": how long after the daemon's death, s."""
     analyse: bool = True
+    """Whether report and figures are written after each run."""
     max_queue: PositiveInt = 100
+    """How many runs may wait."""
 
 
 class BenchConfig(Value):
-    """The whole file. `simulated` starts a software rig for every run, on a bus of its own."""
+    """The whole file."""
 
     rig: str
+    """The rig file: one that ships, or a path beside this file."""
     simulated: bool = False
+    """Starts a software rig for every run, on a bus of its own."""
     recordings: str = "recordings"
+    """Folder of the recordings, beside this file; made where it is missing."""
     state: str = STATE
+    """Folder of the queue and the runs under way, beside this file; made where it is missing."""
     experiments: tuple[str, ...] = ("experiments/*.toml",)
+    """Which experiment files can be played: names or patterns, beside this file or among those that
+    ship."""
     network: NetworkConfig = NetworkConfig()
+    """Where the daemon listens, and for whom."""
     run: RunConfig = RunConfig()
+    """How runs are played."""
 
 
 class Bench(Value):

@@ -10,6 +10,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 from servo_bench.catalogue import Catalogue
@@ -19,11 +20,11 @@ from servo_bench.daemon import active as runs
 from servo_bench.daemon.active import ActiveRun
 from servo_bench.daemon.aftermath import standing_sentence
 from servo_bench.daemon.config import Bench
-from servo_bench.daemon.jobs import Jobs
+from servo_bench.daemon.jobs import Job, Jobs, Kind
 from servo_bench.daemon.live import ReplaySource, Source, TableSource
 from servo_bench.daemon.log import Log
 from servo_bench.daemon.machine import PLAYING, Event, State, after
-from servo_bench.daemon.problems import ApiError
+from servo_bench.daemon.problems import DISK_FULL, ApiError
 from servo_bench.daemon.processes import wait_for_bus_processes
 from servo_bench.daemon.queue import Queue, Waiting
 from servo_bench.daemon.requests import (
@@ -52,7 +53,7 @@ class Daemon:
         self.bench = bench
         self.catalogue = Catalogue(bench.recordings)
         self.queue = Queue(bench.state, bench.run.max_queue)
-        self.jobs = Jobs(bench.run.cpu, self._change)
+        self.jobs = Jobs(bench.run.cpu, self._change, self.refresh)
         self.log = log
         self.version = 0
         """Counts the changes that a viewer should be told at once."""
@@ -204,6 +205,14 @@ class Daemon:
         self._replay = (run_id, speed, ReplaySource(recording, speed, start_s, self._now_ns))
         self._change()
 
+    def start_job(self, kind: Kind, run_id: str, recording: Path) -> Job:
+        """Begin work on a recording. ApiError while it is being written, or where too many wait."""
+        if self._active is not None and self._active.asked.id == run_id:
+            raise ApiError(
+                409, "playing", "that run plays, and its recording grows. Ask when it is over."
+            )
+        return self.jobs.start(kind, run_id, recording)
+
     def end_play_back(self) -> None:
         """Show nothing, or the rig again."""
         self._replay = None
@@ -238,6 +247,7 @@ class Daemon:
             "bus_alive": run is None or not run.silent,
             "last": self.last,
             "replay": {"run": replay[0], "speed": replay[1]} if replay else None,
+            "jobs": [asdict(job) for job in self.jobs.open],
         }
 
     def _holder(self) -> str:
@@ -408,7 +418,6 @@ class Daemon:
         if self.last is not None and self.last["id"] == run.asked.id:
             sentence = f"{self.last['sentence']} Analysis: {job.sentence}"
             self.last = {"id": run.asked.id, "sentence": sentence}
-        await self.refresh()
         self._fire(Event.ANALYSED)
 
     def _fail(self, sentence: str) -> None:
@@ -421,8 +430,10 @@ class Daemon:
         self._fire(Event.FAILED)
         self.log.error("fault", sentence=sentence)
 
-    def _hold(self, reason: str) -> None:
-        self.held = reason
+    def _hold(self, cause: str) -> None:
+        """Hold the queue. The first cause stays until somebody arms it, whatever comes of it."""
+        if self.held in (None, RESTARTED):
+            self.held = cause
         self._change()
 
     def _fire(self, event: Event) -> None:
@@ -439,8 +450,7 @@ class Daemon:
         free = shutil.disk_usage(self.bench.recordings).free
         if free < needed + SPARE_BYTES:
             raise ApiError(
-                507,
-                "disk-full",
+                *DISK_FULL,
                 f"the recording may need {needed / 1e6:.1f} MB, and {free / 1e6:.1f} MB are free "
                 f"of which {SPARE_BYTES / 1e6:.0f} MB are kept for the rest. Make room first.",
             )

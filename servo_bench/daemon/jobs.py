@@ -1,51 +1,74 @@
-"""Work on recordings in processes of their own, one at a time, as idle as the system allows.
+"""Work on recordings in processes of their own, as idle as the system allows.
 
     python -m servo_bench.daemon.work KIND CPUS RECORDING...
 
-The bus loop must not feel them: they are nice, single-threaded, and keep off the loop's CPU.
+One analysis or comparison at a time, and beside it one diagnosis: that may take minutes, and what
+a run waits for must not wait for it. The bus loop must not feel them: they are nice,
+single-threaded, and keep off the loop's CPU.
 """
 
 import asyncio
 import json
 import os
 import secrets
+import signal
 import sys
-from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from servo_bench.catalogue.run import printable
 from servo_bench.daemon.problems import ApiError
 from servo_bench.errors import FitError
 
 KEPT = 100
 WAITING = 20
-Kind = Literal["analyse"]
+MAX_LINE_BYTES = 8 << 20
+LONGEST_PROGRESS = 200
+Kind = Literal["analyse", "diagnose"]
 JobState = Literal["waiting", "running", "done", "failed"]
 SINGLE = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One piece of work; `sentence` says how it ended."""
+    """One piece of work: `progress` is what it does now, `sentence` says how it ended."""
 
     id: str
     kind: Kind
     run: str
     state: JobState = "waiting"
+    progress: str = ""
     sentence: str = ""
+
+
+async def _nothing() -> None:
+    """Nothing follows the end of a job."""
 
 
 class Jobs:
     """The jobs of this daemon's life; the oldest are forgotten."""
 
-    def __init__(self, loop_cpu: int | None, changed: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self,
+        loop_cpu: int | None,
+        changed: Callable[[], None] = lambda: None,
+        made: Callable[[], Awaitable[None]] = _nothing,
+    ) -> None:
+        """`changed` is called at every change of a job, `made` before one is said to be over."""
         self._changed = changed
-        self._jobs: OrderedDict[str, Job] = OrderedDict()
-        self._turn = asyncio.Lock()
+        self._made = made
+        self._jobs: dict[str, Job] = {}
+        self._quick, self._long = asyncio.Lock(), asyncio.Lock()
         self._tasks: dict[str, asyncio.Task[Job]] = {}
         self._cpus = (os.sched_getaffinity(0) - {loop_cpu}) or os.sched_getaffinity(0)
+
+    @property
+    def open(self) -> tuple[Job, ...]:
+        """The jobs that wait or work, in the order in which they were asked for."""
+        known = (self._jobs[job_id] for job_id in self._tasks)
+        return tuple(job for job in known if job.state in ("waiting", "running"))
 
     def get(self, job_id: str) -> Job:
         """The job; ApiError where there is none, or no longer."""
@@ -63,7 +86,7 @@ class Jobs:
 
         ApiError where too many wait.
         """
-        open_jobs = [self._jobs[job_id] for job_id in self._tasks]
+        open_jobs = self.open
         same = next((job for job in open_jobs if (job.kind, job.run) == (kind, run)), None)
         if same is not None:
             return same
@@ -93,7 +116,7 @@ class Jobs:
 
     async def compared(self, before: Path, after: Path) -> dict[str, Any]:
         """Two recordings side by side; FitError with the reason where that cannot be done."""
-        async with self._turn:
+        async with self._quick:
             status, words = await self._work("compare", before, after)
         if status != 0:
             raise FitError(words)
@@ -101,37 +124,55 @@ class Jobs:
         return table
 
     async def _run(self, job: Job, recording: Path) -> Job:
-        async with self._turn:
+        async with self._long if job.kind == "diagnose" else self._quick:
             job = self._keep(replace(job, state="running"))
-            status, words = await self._work(job.kind, recording)
+            try:
+                status, words = await self._work(
+                    job.kind, recording, told=lambda line: self._tell(job, line)
+                )
+            except OSError as error:
+                status, words = 1, f"no process could be had for it: {error.strerror}. Ask again."
+            await self._made()
             state: JobState = "done" if status == 0 else "failed"
-            return self._keep(replace(job, state=state, sentence=words))
+            return self._keep(replace(job, state=state, progress="", sentence=words))
 
-    async def _work(self, kind: str, *recordings: Path) -> tuple[int, str]:
+    def _tell(self, job: Job, line: str) -> None:
+        self._keep(replace(job, progress=printable(line, LONGEST_PROGRESS)))
+
+    async def _work(
+        self, kind: str, *recordings: Path, told: Callable[[str], None] = lambda _: None
+    ) -> tuple[int, str]:
         """Exit status and last line of a piece of work; killed where nobody waits any more."""
         cpus = ",".join(str(cpu) for cpu in sorted(self._cpus))
         process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "servo_bench.daemon.work", kind, cpus),
+            *(sys.executable, "-W", "ignore", "-m", "servo_bench.daemon.work", kind, cpus),
             *(str(recording) for recording in recordings),
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.STDOUT,
+            limit=MAX_LINE_BYTES,
             env={**os.environ, **SINGLE},
             start_new_session=True,
         )
+        last = ""
         try:
-            said, _ = await process.communicate()
+            while process.stdout and (line := await process.stdout.readline()):
+                if words := line.decode(errors="replace").strip():
+                    told(last := words)
+            status = await process.wait()
         finally:
             if process.returncode is None:
                 process.kill()
                 await process.wait()
-        status = process.returncode or 0
-        lines = said.decode(errors="replace").strip().splitlines()
-        return status, lines[-1] if lines else f"it ended with status {status}"
+        if status < 0:
+            doing = f" while it did this: {last[:LONGEST_PROGRESS]}" if last else ""
+            return status, f"it was ended by {signal.Signals(-status).name}{doing}. Ask again."
+        return status, last or f"it ended with status {status} without a word"
 
     def _keep(self, job: Job) -> Job:
         self._jobs[job.id] = job
-        while len(self._jobs) > KEPT:
-            self._jobs.popitem(last=False)
+        ended = [job_id for job_id in self._jobs if job_id not in (*self._tasks, job.id)]
+        for job_id in ended[: max(0, len(self._jobs) - KEPT)]:
+            del self._jobs[job_id]
         self._changed()
         return job

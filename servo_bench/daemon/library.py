@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from servo_bench.catalogue import Catalogue, Run
 from servo_bench.catalogue.beside import beside, read_json
 from servo_bench.clock import NS_PER_S
 from servo_bench.daemon.problems import ApiError
+from servo_bench.diagnosis.verdict import Verdict
 from servo_bench.errors import RecordingError
 from servo_bench.recording.mcap_file import load
 from servo_bench.recording.recording import MISSING, Recording
@@ -43,10 +45,23 @@ def companion(catalogue: Catalogue, run_id: str, kind: str) -> Path:
     """A file that an analysis or a diagnosis made beside the recording; ApiError without one."""
     found: Path = getattr(beside(path_of(catalogue, run_id)), kind)
     if not found.is_file() or found.is_symlink():
-        raise ApiError(
-            404, f"no-{kind}", f"{found.name} is not there: analyse the run first, then ask again."
-        )
+        work = "diagnose" if kind.startswith("diagnosis") else "analyse"
+        slug = f"no-{kind.replace('_', '-')}"
+        words = f"{found.name} is not there: {work} the run first, then ask again."
+        raise ApiError(404, slug, words)
     return found
+
+
+def verdict_of(catalogue: Catalogue, run_id: str) -> Verdict:
+    """The verdict beside a recording. ApiError without one, RecordingError where it is none."""
+    path = companion(catalogue, run_id, "diagnosis")
+    try:
+        return Verdict.model_validate(read_json(path))
+    except ValidationError as error:
+        raise RecordingError(
+            f"{path.name} is no verdict of this version ({error.error_count()} keys do not fit). "
+            "Diagnose the run again."
+        ) from error
 
 
 def detail(catalogue: Catalogue, run_id: str) -> dict[str, Any]:
@@ -55,16 +70,16 @@ def detail(catalogue: Catalogue, run_id: str) -> dict[str, Any]:
     path = path_of(catalogue, run_id)
     places = beside(path)
     figures = _table(places.figures)
-    diagnosis = _table(places.diagnosis)
     return {
         **run.row(),
         "sentences": [str(flag) for flag in figures.get("flags", [])],
         "quality": figures.get("run"),
         "kernels": {key: value for key, value in figures.items() if key not in ("flags", "run")}
         or None,
-        "diagnosis": diagnosis or None,
+        "diagnosis": _verdict(places.diagnosis),
         "events": _events(path),
         "has_report": places.report.is_file(),
+        "has_diagnosis_page": places.diagnosis_page.is_file(),
     }
 
 
@@ -73,6 +88,13 @@ def _table(path: Path) -> dict[str, Any]:
         return read_json(path) or {}
     except RecordingError:
         return {}  # the run's own line says what cannot be read
+
+
+def _verdict(path: Path) -> Verdict | None:
+    try:
+        return Verdict.model_validate(_table(path))
+    except ValidationError:
+        return None  # none beside it, or none of this version: asked for by itself it says so
 
 
 def _events(path: Path) -> list[dict[str, Any]]:

@@ -31,6 +31,8 @@ COLUMNS = (
 )
 MAX_ROWS = 500
 """In one frame: half a second at 1 kHz. Beyond it rows are thinned."""
+LINGER_S = 1.0
+"""How long a replay that has come to its end can still be seen: pages fetch its last rows."""
 _HEAD = struct.Struct("<4I")
 Rows = NDArray[np.float64]
 
@@ -71,7 +73,11 @@ class TableSource:
                 block["velocity_command_rad_s"],
                 block["motor_velocity_rad_s"],
                 block["load_angle_rad"],
-                block["motor_torque_nm"] / self.torque_constant_nm_per_a,
+                _current_a(
+                    block["motor_current_a"],
+                    block["motor_torque_nm"],
+                    self.torque_constant_nm_per_a,
+                ),
                 block["lateness_s"],
             ]
         )
@@ -95,17 +101,30 @@ class ReplaySource:
 
     @property
     def over(self) -> bool:
-        """Whether its last row has been played."""
-        return self.ready() >= len(self._columns)
+        """Whether its last row has been played, and every page has had time to show it."""
+        return self._played(LINGER_S) >= len(self._columns)
 
     def ready(self) -> int:
         """Rows whose time has come."""
-        elapsed_s = (self._now_ns() - self._begun_ns) / NS_PER_S
+        return self._played(0.0)
+
+    def _played(self, ago_s: float) -> int:
+        elapsed_s = (self._now_ns() - self._begun_ns) / NS_PER_S - ago_s
         return int(np.searchsorted(self._columns[:, 0], self._start_s + elapsed_s * self._speed))
 
     def rows(self, begin: int, end: int) -> Rows:
         """As they were recorded."""
         return self._columns[begin:end]
+
+
+def _current_a(
+    current_a: NDArray[np.float64], torque_nm: NDArray[np.float64], torque_constant: float
+) -> NDArray[np.float64]:
+    """The drive's own current; where it tells none, what its torque takes nominally."""
+    known: NDArray[np.float64] = np.where(
+        np.isfinite(current_a), current_a, torque_nm / torque_constant
+    )
+    return known
 
 
 def _columns(recording: Recording) -> Rows:
@@ -120,8 +139,9 @@ def _columns(recording: Recording) -> Rows:
     else:
         time_s = recording["t_s"] - (recording["t_s"][0] if count else 0.0)
     current_a = channel("motor_current_a")
-    if "motor_current_a" not in recording and recording.rig is not None:
-        current_a = channel("motor_torque_nm") / recording.rig.nominal.torque_constant_nm_per_a
+    if recording.rig is not None:
+        torque_constant = recording.rig.nominal.torque_constant_nm_per_a
+        current_a = _current_a(current_a, channel("motor_torque_nm"), torque_constant)
     return np.column_stack(
         [
             time_s,

@@ -4,9 +4,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from servo_bench.daemon.jobs import Kind
+from servo_bench.daemon.jobs import JobState, Kind
 from servo_bench.daemon.machine import State
 from servo_bench.daemon.requests import Overrides
+from servo_bench.diagnosis.verdict import Verdict
 
 Text = Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
 """One line of words."""
@@ -56,6 +57,11 @@ class StopRequest(Asked):
 
     operator: Text = ""
     reason: Text = ""
+
+    def words(self, nobody: str = "an operator") -> str:
+        """Who stops and why, as it is shown; `nobody` where no name came."""
+        reason = f" ({self.reason})" if self.reason else ""
+        return f"{self.operator or nobody}{reason}"
 
 
 class ArmRequest(Asked):
@@ -146,8 +152,19 @@ class Replaying(BaseModel):
     speed: float
 
 
+class JobView(BaseModel):
+    """A piece of work on a recording: what it does now, and how it ended."""
+
+    id: str
+    kind: Kind
+    run: str
+    state: JobState
+    progress: str
+    sentence: str
+
+
 class Status(BaseModel):
-    """Everything that changes while the daemon lives."""
+    """Everything that changes while the daemon lives; `jobs` are those that wait or work."""
 
     state: State
     held: bool
@@ -160,6 +177,7 @@ class Status(BaseModel):
     bus_alive: bool
     last: Last | None
     replay: Replaying | None
+    jobs: list[JobView]
 
 
 class ExperimentView(BaseModel):
@@ -208,6 +226,7 @@ class RunRow(BaseModel):
     sentence: str
     figures: dict[str, Any]
     verdict: str | None
+    causes: list[str]
     bytes: int
 
 
@@ -233,9 +252,10 @@ class RunDetail(RunRow):
     sentences: list[str]
     quality: dict[str, Any] | None
     kernels: dict[str, Any] | None
-    diagnosis: dict[str, Any] | None
+    diagnosis: Verdict | None
     events: list[EventView]
     has_report: bool
+    has_diagnosis_page: bool
 
 
 class Column(BaseModel):
@@ -251,16 +271,6 @@ class Samples(BaseModel):
     rows: int
     t_s: list[float]
     columns: dict[str, Column]
-
-
-class JobView(BaseModel):
-    """A piece of work on a recording."""
-
-    id: str
-    kind: Kind
-    run: str
-    state: Literal["waiting", "running", "done", "failed"]
-    sentence: str
 
 
 class Problem(BaseModel):

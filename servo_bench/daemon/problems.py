@@ -5,11 +5,12 @@
 | ConfigError    | 422    | the request asks for something impossible            |
 | LimitError     | 422    | it would leave the rig's limits                      |
 | BusyError      | 409    | the rig is in somebody's hands                       |
-| RecordingError | 422    | the recording, or the disk, does not do what it must |
+| RecordingError | 422    | the recording does not do what it must               |
 | FitError       | 422    | the data do not allow it                             |
 | WireError      | 502    | the bus or a node does not answer                    |
 | DriveError     | 502    | the drive refused                                    |
 | RigError       | 502    | the software rig failed                              |
+| any of them    | 507    | a full disk is behind it                             |
 """
 
 from http import HTTPStatus
@@ -25,6 +26,7 @@ from servo_bench.errors import (
     RecordingError,
     RigError,
     WireError,
+    disk_is_full,
 )
 
 MEDIA_TYPE = "application/problem+json"
@@ -38,6 +40,10 @@ STATUS: dict[type[BenchError], int] = {
     DriveError: 502,
     RigError: 502,
 }
+
+
+DISK_FULL = (507, "disk-full")
+"""Status and slug, wherever it is met."""
 
 
 class ApiError(BenchError):
@@ -64,6 +70,8 @@ def problem_of(error: BenchError) -> tuple[int, str]:
     """Status and slug of one of our errors."""
     if isinstance(error, ApiError):
         return error.status, error.slug
+    if disk_is_full(error):
+        return DISK_FULL
     for kind in type(error).__mro__:
         if kind in STATUS:
             name = kind.__name__.removesuffix("Error").lower()

@@ -1,15 +1,12 @@
 """Small files that are whole or the old ones, whatever happens while they are written."""
 
-import errno
 import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from servo_bench.errors import ConfigError, RecordingError
-
-FULL = (errno.ENOSPC, errno.EDQUOT)
+from servo_bench.errors import ConfigError, RecordingError, disk_is_full
 
 
 def write_json(path: Path, table: Mapping[str, Any]) -> None:
@@ -24,7 +21,7 @@ def write_json(path: Path, table: Mapping[str, Any]) -> None:
         _sync_folder(path.parent)
     except OSError as error:
         new.unlink(missing_ok=True)
-        full = "Make room" if error.errno in FULL else "Mend the folder"
+        full = "Make room" if disk_is_full(error) else "Mend the folder"
         raise RecordingError(
             f"{path.name} cannot be kept in {path.parent}: {error.strerror}. {full}, then try "
             "again; nothing was changed."

@@ -5,10 +5,11 @@ import json
 from contextlib import suppress
 
 from fastapi import WebSocket, WebSocketDisconnect
+from pydantic import ValidationError
 
 from servo_bench.daemon.core import Daemon
 from servo_bench.daemon.live import Viewer
-from servo_bench.daemon.models import Status
+from servo_bench.daemon.models import Status, StopRequest
 
 FRAME_EVERY_S = 1.0 / 30.0
 STATUS_EVERY_S = 0.25
@@ -67,15 +68,21 @@ class Viewers:
             message = await socket.receive()
             if message["type"] == "websocket.disconnect":
                 return
-            if _is_stop(message.get("text")):
-                self._daemon.stop("an operator at the page")
+            if (asked := _stop_in(message.get("text"))) is not None:
+                self._daemon.stop(asked.words("an operator at the page"))
 
 
-def _is_stop(text: str | None) -> bool:
+def _stop_in(text: str | None) -> StopRequest | None:
+    """The stop that a message asks for; one with strange words is heeded without them."""
     if text is None or len(text) > MAX_MESSAGE:
-        return False
+        return None
     try:
         message = json.loads(text)
     except (ValueError, RecursionError):
-        return False
-    return isinstance(message, dict) and message.get("kind") == "stop"
+        return None
+    if not isinstance(message, dict) or message.pop("kind", None) != "stop":
+        return None
+    try:
+        return StopRequest.model_validate(message)
+    except ValidationError:
+        return StopRequest()

@@ -1,7 +1,10 @@
 """One piece of work on recordings, as a process: its last line of output says how it ended.
 
     python -m servo_bench.daemon.work analyse CPUS RECORDING     figures and report beside it
+    python -m servo_bench.daemon.work diagnose CPUS RECORDING    verdict and its page beside it
     python -m servo_bench.daemon.work compare CPUS BEFORE AFTER  what has changed, as JSON
+
+The lines before the last say what is being done.
 
 CPUS are the CPUs that it may use, with commas. It is as nice as can be.
 """
@@ -14,11 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from servo_bench.catalogue.beside import beside, replace, replace_json
+from servo_bench.diagnosis.concluding import conclude
 from servo_bench.errors import BenchError
 from servo_bench.kernels.analysis import Analysis
 from servo_bench.kernels.analysis import analyse as analyse_recording
 from servo_bench.recording.mcap_file import load
 from servo_bench.replay.compare import compare as compare_recordings
+from servo_bench.report.diagnosis_page import diagnosis_report
 from servo_bench.report.html import analysis_report
 from servo_bench.report.wording import percent
 
@@ -54,21 +59,42 @@ def compare(before: Path, after: Path) -> str:
     return json.dumps(table, allow_nan=False)
 
 
-WORK: Mapping[str, Callable[..., str]] = {"analyse": analyse, "compare": compare}
+def diagnose(path: Path) -> str:
+    """Write the verdict and its page beside a recording; the verdict in a sentence.
+
+    What is believed of the rig is what the recording itself states.
+    """
+    recording = load(path, allow_cut=True)
+    verdict, finding = conclude([recording], report=_say)
+    places = beside(path)
+    replace(places.diagnosis_page, diagnosis_report(verdict, finding, recording).encode())
+    replace_json(places.diagnosis, verdict.numbers())  # last: who finds it finds its page
+    return f"{verdict.verdict}: {verdict.sentence}"
+
+
+WORK: Mapping[str, Callable[..., str]] = {
+    "analyse": analyse,
+    "diagnose": diagnose,
+    "compare": compare,
+}
+
+
+def _say(words: str) -> None:
+    sys.stdout.write(" ".join(words.split()) + "\n")
+    sys.stdout.flush()
 
 
 def main(kind: str, cpus: str, *recordings: str) -> int:
     """Do the work and say its sentence; 0 done, 1 with the reason where it cannot be done."""
-    os.nice(NICENESS)
+    os.setpriority(os.PRIO_PROCESS, 0, NICENESS)  # whatever the daemon's own is
     os.sched_setaffinity(0, {int(cpu) for cpu in cpus.split(",")})
     paths = [Path(recording) for recording in recordings]
     try:
         sentence = WORK[kind](*paths)
     except BenchError as error:
-        words = str(error).replace(f"{paths[0].parent}/", "")
-        sys.stdout.write(" ".join(words.split()) + "\n")
+        _say(str(error).replace(f"{paths[0].parent}/", ""))
         return 1
-    sys.stdout.write(f"{sentence}\n")
+    _say(sentence)
     return 0
 
 

@@ -5,7 +5,6 @@ descriptor, lives as long as any process that holds it, and ends with the last o
 that one ends. The file's text says who it is. It binds the processes of one machine only.
 """
 
-import errno
 import fcntl
 import json
 import os
@@ -17,7 +16,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from servo_bench.errors import BusyError, ConfigError
+from servo_bench.errors import BusyError, ConfigError, disk_is_full
 
 SHARED_FOLDER = Path("/run/lock")
 IDENTITY = ("interface", "host", "port", "channel", "device")
@@ -58,7 +57,7 @@ class Lock:
         try:
             os.pwrite(self.descriptor, text.ljust(MAX_TEXT_BYTES), 0)
         except OSError as error:
-            if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            if not disk_is_full(error):
                 raise
 
     def let_go(self) -> None:

@@ -6,16 +6,20 @@ Screenshots are kept in tests/page/output.
 """
 
 import signal
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import pytest
 from playwright.sync_api import expect
 
+from servo_bench.catalogue import Catalogue
+from servo_bench.diagnosis.verdict import Verdict
 from tests.daemon_process import Daemon, bus_loop_of, kill, moves, runner_of, stands, write_bench
 from tests.page.conftest import Screen
 
+IDLE_MS = 300_000
+"""Work on recordings gets what the machine has left over: where others work it takes its time."""
 VIEWS = ("live", "start", "runs", "compare")
 HOSTILE = '<img src=x onerror="window.hacked=1"><script>hacked=1</script>\'"&amp;\u202e'
 POINTS_SEEN = """() => [...document.querySelectorAll(".plot canvas")].map((canvas) => {
@@ -24,6 +28,20 @@ POINTS_SEEN = """() => [...document.querySelectorAll(".plot canvas")].map((canva
   for (let at = 0; at < data.length; at += 4) sum = (sum * 31 + data[at] + data[at + 3]) >>> 0;
   return sum;
 })"""
+NAMED = Verdict.model_validate_json("""{
+  "verdict": "named",
+  "sentence": "The simulation lacks a wider backlash (0.72 deg) and Coulomb friction (3.1 mN m).",
+  "causes": [
+    {"effect": "backlash_width", "confidence": 0.97, "parameters": {"gap_rad":
+      {"value": 0.0125664, "unit": "rad", "ci95": [0.0124, 0.0127], "standard_error": 8e-5}}},
+    {"effect": "coulomb_friction", "confidence": 0.81, "ambiguous_with": ["stribeck_friction"],
+     "parameters": {"torque_nm":
+      {"value": 0.0031, "unit": "N m", "ci95": [0.0028, 0.0034], "standard_error": 1.5e-4}}}],
+  "error": {"before": 0.2767, "after": 0.00512, "noise_floor": 0.0049, "share_explained": 0.9997,
+            "signal": "load velocity", "unit": "rad/s"},
+  "undecided": ["The command has a single size: a deadband looks like a scale."],
+  "next_run": "Play five levels, or a second amplitude."
+}""")
 INTERVALS = """(count) => new Promise((done) => {
   const times = [];
   const next = (now) => {
@@ -85,8 +103,10 @@ def test_a_run_from_the_first_field_to_the_stop(daemon: Daemon, screen: Screen) 
 
     page.keyboard.press("Space")
     expect(page.locator("#state")).to_have_text("Idle")
-    daemon.wait(stands)
-    assert daemon.status()["held"]
+    assert daemon.wait(stands)["held_reason"] == "stopped by Ada (the space bar)"
+    expect(page.locator("#state-detail")).to_contain_text("stopped by Ada (the space bar)")
+    expect(page.locator('[data-banner="stop"]')).to_contain_text("Stopped: the rig stands.")
+    expect(page.locator(".now")).to_have_text(["–"] * 5)
     screen.shoot("live-stopped")
     page.get_by_role("link", name="Runs", exact=True).click()
     expect(page.locator("tbody tr")).to_contain_text(["stopped"])
@@ -108,7 +128,9 @@ def test_the_stop_works_from_every_view_with_a_question_open(
     else:
         page.keyboard.press("Escape")
     daemon.wait(lambda status: status["held"] and status["state"] != "running")
-    daemon.wait(stands)
+    said = daemon.wait(stands)["held_reason"]
+    keys = "the page's stop button" if way == "click" else "the Escape key"
+    assert said == f"stopped by {'Ada' if view == 'start' else 'an operator'} ({keys})"
 
 
 def test_the_stop_works_without_the_websocket(daemon: Daemon, screen: Screen) -> None:
@@ -154,7 +176,8 @@ def test_a_bus_process_that_stands_still_is_told(daemon: Daemon, screen: Screen)
         page.wait_for_selector('[data-banner="bus"], [data-banner="fault"]')
         screen.shoot("bus-gone")
     finally:
-        kill(loop, signal.SIGKILL)
+        with suppress(ProcessLookupError):  # its supervisor has ended it already
+            kill(loop, signal.SIGKILL)
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
@@ -164,12 +187,15 @@ def test_a_daemon_that_is_gone_is_told_within_a_second(
     page = screen.open(daemon)
     page.evaluate(WATCH_GONE)
     kill(daemon.process.pid, number)
-    page.wait_for_function("() => window.silence_ms !== undefined")
-    silence_ms = page.evaluate("() => window.silence_ms")
-    screen.shoot(f"gone-{number.name.lower()}")
+    try:
+        page.wait_for_function("() => window.silence_ms !== undefined")
+        silence_ms = page.evaluate("() => window.silence_ms")
+        screen.shoot(f"gone-{number.name.lower()}")
+    finally:
+        if number is signal.SIGSTOP:
+            kill(daemon.process.pid, signal.SIGCONT)
     assert silence_ms < 1000.0
     if number is signal.SIGSTOP:
-        kill(daemon.process.pid, signal.SIGCONT)
         expect(page.locator('[data-banner="gone"]')).to_have_count(0)
     else:
         page.keyboard.press("Escape")
@@ -239,22 +265,66 @@ def test_recordings_are_found_read_noted_replayed_and_compared(
     library.wait(lambda status: status["replay"] is None)
 
     page.goto(f"{library.url}/#/compare?a={analysable[0]}&b={analysable[1]}")
-    expect(page.locator(".card h2").first).to_be_visible(timeout=200_000)
+    expect(page.locator(".card h2").first).to_be_visible(timeout=IDLE_MS)
     screen.page.set_viewport_size({"width": 1024, "height": 1600})
     screen.shoot("compare")
 
 
+def test_a_run_is_diagnosed_and_its_verdict_is_read(library: Daemon, screen: Screen) -> None:
+    (hidden,) = [row["id"] for row in library.rows() if row["name"] == "hidden-effect"]
+    page = screen.open(library, f"runs/{hidden}")
+    card = page.get_by_role("region", name="Verdict")
+    expect(card).to_contain_text("Not diagnosed yet")
+    page.get_by_label("Tags").fill("not saved yet")
+    page.get_by_role("button", name="Diagnose").click()
+    expect(page.locator(".working")).to_contain_text("Being diagnosed: round 1", timeout=IDLE_MS)
+    expect(page.get_by_role("button", name="Diagnose")).to_be_disabled()
+    screen.shoot("run-being-diagnosed")
+    expect(page.get_by_role("button", name="Diagnose again")).to_be_enabled(timeout=IDLE_MS)
+    expect(page.get_by_label("Tags")).to_have_value("not saved yet")
+    verdict = library.client.get(f"/api/runs/{hidden}/diagnosis").json()
+    expect(card).to_contain_text(verdict["sentence"])
+    expect(page.locator(".working")).to_contain_text(verdict["sentence"])
+    expect(card).to_contain_text("What it gains")
+    with page.expect_popup() as opened:
+        card.get_by_role("link", name="Open the whole diagnosis").click()
+    expect(opened.value.locator("body")).to_contain_text(verdict["sentence"])
+    opened.value.close()
+
+    page.get_by_role("button", name="Diagnose again").click()
+    expect(page.locator(".working")).to_contain_text("Being diagnosed:")
+    page.reload()
+    expect(page.locator(".working")).to_contain_text("Being diagnosed:")
+    library.wait(lambda status: not status["jobs"], IDLE_MS / 1e3)
+    expect(page.locator(".working")).to_contain_text(verdict["sentence"])
+
+    (nominal,) = [row["id"] for row in library.rows() if row["name"] == "nominal"]
+    Catalogue(library.bench.parent / "recordings").store_diagnosis(nominal, NAMED.numbers())
+    screen.open(library, "runs")
+    expect(page.locator("tbody")).to_contain_text("backlash width, coulomb friction")
+    expect(page.locator("tbody")).to_contain_text(verdict["verdict"])
+    screen.shoot("runs-with-verdicts")
+    page.goto(f"{library.url}/#/runs/{nominal}")
+    expect(card).to_contain_text("backlash width, confidence 97 %")
+    expect(card).to_contain_text("0.72 °")
+    screen.page.set_viewport_size({"width": 1024, "height": 1500})
+    screen.shoot("run-with-causes")
+
+
 def _analysed(daemon: Daemon) -> list[str]:
     """Two runs that could be analysed, by the daemon itself."""
-    found = []
-    for row in daemon.rows():
-        job = daemon.client.post(f"/api/runs/{row['id']}/analyse").json()["job"]
-        said: dict[str, Any] = {"state": "waiting"}
-        while said["state"] in ("waiting", "running"):
-            said = daemon.client.get(f"/api/jobs/{job}").json()
-        found += [row["id"]] if said["state"] == "done" else []
-        if len(found) == 2:
-            return found
+    jobs = {
+        row["id"]: daemon.client.post(f"/api/runs/{row['id']}/analyse").raise_for_status().json()
+        for row in daemon.rows()
+    }
+    daemon.wait(lambda status: not status["jobs"], IDLE_MS / 1e3)
+    ended = {
+        run_id: daemon.client.get(f"/api/jobs/{answer['job']}").raise_for_status().json()
+        for run_id, answer in jobs.items()
+    }
+    found = [run_id for run_id, job in ended.items() if job["state"] == "done"]
+    if len(found) >= 2:
+        return found[:2]
     raise AssertionError("fewer than two reference recordings can be analysed")
 
 

@@ -65,9 +65,27 @@ const UNITS = [
   ["_s", "ms", (value) => value * 1e3],
 ];
 
+/** A name of the files as people read it. */
+export const words = (text) =>
+  text.replaceAll("_", " ").replace(/\bvaf\b/, "VAF").replace(/\border(\d)/, "order $1");
+
+const READERS = { rad: ["°", degrees], "rad/s": ["°/s", degrees], 1: ["", (value) => value] };
+
+/** A parameter's name without the unit that it ends in: `gap_rad` in rad as "gap". */
+export function nameOf(name, unit) {
+  const endings = ["_per_", "_"].map((per) => `_${unit.toLowerCase().replaceAll("n m", "nm").replaceAll("/", per).replaceAll(" ", "_")}`);
+  const ending = endings.find((text) => text !== "_" && name.endsWith(text));
+  return words(ending ? name.slice(0, -ending.length) : name);
+}
+
+/** A number with the unit that came beside it; angles in degrees. */
+export function inUnit(value, unit, digits = 4) {
+  const [shown, convert] = READERS[unit] ?? [unit, (same) => same];
+  return quantity(known(value) ? convert(value) : null, shown, digits);
+}
+
 /** Name and value of a figure as people read it, from its name in the files: unit suffix last. */
 export function figure(name, value) {
-  const words = (text) => text.replaceAll("_", " ");
   if (!known(value)) return [words(name), value === null || value === undefined ? NOTHING : String(value)];
   for (const [suffix, unit, convert] of UNITS) {
     if (name.endsWith(suffix)) return [words(name.slice(0, -suffix.length)), quantity(convert(value), unit)];

@@ -45,7 +45,7 @@ export class Header {
     this.banner("stop", "info", "Stop is being sent …");
     try {
       const { standing } = await stopRig(this.connection, reason);
-      this.banner("stop", "info", standing ? "Stopped: the rig stands. The queue is held." : "Stop given: the rig is being stopped. The queue is held.");
+      this.#stopped(standing);
     } catch (error) {
       this.banner("stop", "alarm", `STOP WAS NOT DELIVERED. Use the emergency stop now. ${error.message}`);
     } finally {
@@ -53,7 +53,13 @@ export class Header {
     }
   }
 
+  #stopped(standing) {
+    this.stopping = !standing;
+    this.banner("stop", "info", standing ? "Stopped: the rig stands. The queue is held." : "Stop given: the rig is being stopped. The queue is held.");
+  }
+
   #gone() {
+    this.stopping = false; // nobody knows any more
     this.banner(
       "gone",
       "alarm",
@@ -78,6 +84,7 @@ export class Header {
     const began = status.run !== null && status.run.id !== before?.run?.id;
     const armed = before?.held && !status.held;
     if (began || armed) this.banner("stop", null);
+    if (this.stopping && !MOVING.has(status.state)) this.#stopped(true);
   }
 
   #state(state, word, detail) {

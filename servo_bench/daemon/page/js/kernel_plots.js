@@ -24,10 +24,10 @@ export function kernelCard(kernels) {
 }
 
 /** One or two linear kernels over their lags; `extra` are further [label, values, colour]. */
-export function linearKernel({ lags_s, c1_rad_s, coefficient_scatter_rad_s: scatter }, extra = []) {
-  const curves = [["order 1", c1_rad_s, COLOURS.measured], ...extra];
-  const lines = curves.map(([label, , colour], index) => line(label, colour, { points: { show: true, size: 6 }, dash: index ? [6, 4] : undefined }));
-  const noise = typeof scatter === "number" ? ` · scatter of a coefficient ±${number(degrees(scatter), 3)} °/s` : "";
+export function linearKernel({ lags_s, c1_rad_s, coefficient_scatter_rad_s: scatter }, extra = [], label = "order 1") {
+  const curves = [[label, c1_rad_s, COLOURS.measured], ...extra];
+  const lines = curves.map(([name, , colour], index) => line(name, colour, { points: { show: true, size: 6 }, dash: index ? [6, 4] : undefined }));
+  const noise = typeof scatter === "number" ? `scatter of a coefficient ±${number(degrees(scatter), 3)} °/s` : "";
   return chart({
     title: "Kernel of order 1 / °/s per chip, over the lag / ms",
     caption: [h("span", { class: "hint" }, noise)],

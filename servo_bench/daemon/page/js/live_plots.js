@@ -2,7 +2,7 @@
 
 import { COLOURS, chart, line } from "./chart.js";
 import { COMMAND, CURRENT, LATENESS, LOAD_ANGLE, T, VELOCITY } from "./frames.js";
-import { number } from "./format.js";
+import { NOTHING, number } from "./format.js";
 import { SteadyRange, extent } from "./range.js";
 import { Scroll } from "./scroll.js";
 import { h, say } from "./dom.js";
@@ -33,6 +33,7 @@ export class LivePlots {
     this.figures = this.plots.map(({ figure }) => figure);
     this.drawn_ms = performance.now();
     this.numbers_ms = 0;
+    this.plays = true;
     this.drawing = requestAnimationFrame((now_ms) => this.#draw(now_ms));
   }
 
@@ -43,7 +44,7 @@ export class LivePlots {
       title,
       height: height + (last ? 24 : 0),
       lines: lines.map(([, drawn]) => drawn),
-      caption: [h("span", { class: "nows" }, numbers)],
+      caption: [last ? h("span", { class: "hint" }, "over time / s") : null, h("span", { class: "nows" }, numbers)],
       data: [[], ...lines.map(() => [])],
       showX: last,
       rangeX: () => this.window,
@@ -56,6 +57,13 @@ export class LivePlots {
   /** A frame was taken. */
   took() {
     this.scroll.newest(this.samples.last[T], performance.now() / 1e3);
+  }
+
+  /** Whether something plays: the last numbers of what is over would look like the rig's. */
+  show(plays) {
+    if (plays === this.plays) return;
+    this.plays = plays;
+    this.#sayNumbers();
   }
 
   #draw(now_ms) {
@@ -81,7 +89,7 @@ export class LivePlots {
 
   #sayNumbers() {
     for (const { lines, numbers } of this.plots) {
-      lines.forEach(([channel], index) => say(numbers[index], number(this.samples.last[channel], 4)));
+      lines.forEach(([channel], index) => say(numbers[index], this.plays ? number(this.samples.last[channel], 4) : NOTHING));
     }
   }
 

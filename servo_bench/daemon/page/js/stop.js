@@ -15,8 +15,8 @@ const pause = (ms) => new Promise((done) => setTimeout(done, ms));
 
 /** Send a stop; the daemon's answer. Problem where it could not be delivered. */
 export async function stopRig(connection, reason) {
-  const alsoSent = setTimeout(() => connection.send({ kind: "stop" }), MOMENT_MS);
   const body = { operator: operator.name, reason };
+  const alsoSent = setTimeout(() => connection.send({ kind: "stop", ...body }), MOMENT_MS);
   let last = new Problem(0, "The daemon did not answer.");
   for (let tried = 0; tried < TRIES; tried += 1) {
     try {

@@ -8,6 +8,7 @@ import { COLOURS } from "../chart.js";
 
 const PATIENCE_MS = 300_000; // both runs are fitted
 const LISTED = 500;
+const LARGEST_SHARE = 10; // of a value that is nearly nothing: no share says anything
 
 export function compareView(app, query) {
   const page = new ComparePage(query.get("a") ?? "", query.get("b") ?? "");
@@ -74,7 +75,7 @@ class ComparePage {
       this.charts.push(
         linearKernel({ lags_s: kernels.lags_s, c1_rad_s: kernels.c1_a_rad_s }, [
           ["b", kernels.c1_b_rad_s, COLOURS.second],
-        ]),
+        ], "a"),
       );
     }
     fill(
@@ -108,11 +109,13 @@ function changesTable(title, changes) {
   const rows = changes.map((change) => {
     const convert = change.unit === "rad" ? degrees : (value) => value;
     const unit = change.unit === "rad" ? "°" : change.unit;
-    const shown = (value) => (value === null ? NOTHING : number(convert(value), 5));
-    const share = change.share === null ? NOTHING : `${number(100 * change.share, 3)} %`;
-    return row(change.changed, `${change.symbol} / ${unit || "1"}`, change.where, shown(change.a), shown(change.b), share, `${shown(change.interval_low)} to ${shown(change.interval_high)}`);
+    const shown = (value, digits = 5) => (value === null ? NOTHING : number(convert(value), digits));
+    const told = change.share !== null && Math.abs(change.share) < LARGEST_SHARE;
+    const share = told ? `${number(100 * change.share, 3)} %` : NOTHING;
+    const what = [`${change.symbol} / ${unit || "1"}`, h("span", { class: "hint note" }, change.where)];
+    return row(change.changed, what, shown(change.a), shown(change.b), share, `${shown(change.interval_low, 3)} to ${shown(change.interval_high, 3)}`);
   });
-  return table(title, ["quantity / unit", "where", "a", "b", "b over a − 1", "difference, 95 %", ""], rows);
+  return table(title, ["quantity / unit", "a", "b", "b over a − 1", "difference, 95 %", ""], rows);
 }
 
 function ordersTable(orders) {

@@ -30,6 +30,7 @@ export function liveView(app, { replay } = {}) {
     title: "Live",
     element,
     status(status) {
+      plots.show(status.run !== null || status.replay !== null);
       run.show(status);
       queue.show(status);
       bar.show(status);

@@ -6,6 +6,7 @@ import { field, fill, h, pairs, say } from "../dom.js";
 import { NOTHING, bytes, duration, figure, number, quantity, when } from "../format.js";
 import { kernelCard } from "../kernel_plots.js";
 import { button } from "../sheet.js";
+import { verdictCard } from "../verdict_card.js";
 
 const CHANNELS = [
   ["load_angle_rad", "Load angle / °", 180 / Math.PI],
@@ -13,11 +14,11 @@ const CHANNELS = [
   ["lateness_s", "Lateness of the loop / µs", 1e6],
 ];
 const POINTS = 800;
-const LOOK_EVERY_MS = 500;
+const WORK = { analyse: "Being analysed", diagnose: "Being diagnosed" };
 
 export function runView(app, id) {
   const page = new RunPage(id);
-  return { title: "Run", element: page.element, close: () => page.close() };
+  return { title: "Run", element: page.element, status: (status) => page.heard(status), close: () => page.close() };
 }
 
 class RunPage {
@@ -25,8 +26,10 @@ class RunPage {
     this.id = id;
     this.charts = [];
     this.kernels = [];
+    this.jobs = new Map(); // id to kind: the work on this run that is not known to be over
     this.wrong = h("p", { class: "wrong", role: "alert" });
-    this.working = h("p", { class: "hint", "aria-live": "polite" });
+    this.working = h("p", { class: "working", role: "status" });
+    this.buttons = { analyse: button("Analyse", () => this.#work("analyse")), diagnose: button("Diagnose", () => this.#work("diagnose")) };
     this.body = h("div", {}, h("p", { class: "hint" }, "Loading …"));
     this.plots = h("section", { class: "card", "aria-label": "Samples" }, h("h2", {}, "Samples"));
     this.element = h("article", {}, this.wrong, this.body);
@@ -48,64 +51,96 @@ class RunPage {
     for (const drawn of this.kernels.splice(0)) drawn.close();
     const kernels = kernelCard(run.kernels);
     this.kernels.push(...kernels.charts);
+    this.places ??= this.#layOut(run); // once: what somebody is writing in the notes stays
+    fill(this.places.links, this.#links(run));
+    fill(this.places.verdict, verdictCard(run, run.has_diagnosis_page ? `/api${runPath(run.id)}/diagnosis/page` : null));
+    fill(this.places.quality, qualityCard(run));
+    fill(this.places.kernels, kernels.element);
+    say(this.buttons.analyse, run.kernels ? "Analyse again" : "Analyse");
+    say(this.buttons.diagnose, run.diagnosis ? "Diagnose again" : "Diagnose");
+  }
+
+  #layOut(run) {
+    const place = () => h("div", { class: "place-of" });
+    const places = { links: place(), verdict: place(), quality: place(), kernels: place() };
     fill(
       this.body,
       h("p", { class: "hint" }, h("a", { href: "#/runs" }, "All runs")),
       h("h1", {}, run.name || NOTHING),
       h("p", { class: "lead" }, h("span", { class: `ended ended-${run.state}` }, run.state), " ", run.sentence),
-      this.#actions(run),
+      h("div", { class: "tools" }, places.links, this.buttons.analyse, this.buttons.diagnose),
+      this.working,
       h(
         "div",
         { class: "cards" },
-        h("section", { class: "card", "aria-label": "About" }, h("h2", {}, "About"), about(run)),
-        this.#notes(run),
-        verdictCard(run),
-        kernels.element,
-        qualityCard(run),
+        h("div", { class: "side" }, h("section", { class: "card", "aria-label": "About" }, h("h2", {}, "About"), about(run)), places.verdict, places.quality),
+        h("div", { class: "side" }, this.#notes(run), places.kernels),
       ),
       this.plots,
       eventsCard(run),
     );
+    return places;
   }
 
-  #actions(run) {
+  #links(run) {
     const path = `/api${runPath(run.id)}`;
-    return h(
-      "div",
-      { class: "tools" },
-      run.has_report ? h("a", { class: "button", href: `${path}/report`, target: "_blank", rel: "noopener" }, "Open the report") : null,
-      h("a", { class: "button", href: `${path}/recording`, download: true }, `Recording, ${bytes(run.bytes)}`),
-      h("a", { class: "button", href: `#/replay/${encodeURIComponent(run.id)}` }, "Replay"),
-      h("a", { class: "button", href: `#/compare?a=${encodeURIComponent(run.id)}` }, "Compare with …"),
-      button(run.kernels ? "Analyse again" : "Analyse", ({ target }) => this.#analyse(target)),
-      this.working,
-    );
+    const link = (text, href, more = {}) => h("a", { class: "button", href, ...more }, text);
+    const outside = { target: "_blank", rel: "noopener" };
+    return [
+      run.has_report ? link("Open the report", `${path}/report`, outside) : null,
+      link(`Recording, ${bytes(run.bytes)}`, `${path}/recording`, { download: true }),
+      link("Replay", `#/replay/${encodeURIComponent(run.id)}`),
+      link("Compare with …", `#/compare?a=${encodeURIComponent(run.id)}`),
+    ];
   }
 
-  async #analyse(control) {
-    control.disabled = true;
+  async #work(kind) {
+    this.buttons[kind].disabled = true;
     try {
-      const { job } = await post(`${runPath(this.id)}/analyse`);
-      say(this.working, "Being analysed …");
-      const ended = await this.#jobEnded(job);
-      if (ended === null) return;
-      say(this.working, ended.sentence);
-      await this.#load();
+      const { job } = await post(`${runPath(this.id)}/${kind}`);
+      this.jobs.set(job, kind);
+      this.#tell(`${WORK[kind]} …`);
     } catch (error) {
-      say(this.working, error.message);
-    } finally {
-      control.disabled = false;
+      this.buttons[kind].disabled = false;
+      this.#tell(error.message, true);
     }
   }
 
-  /** The job when it is over; null where this page was left meanwhile. */
-  async #jobEnded(job) {
-    while (!this.closed) {
-      const said = await get(`/jobs/${encodeURIComponent(job)}`);
-      if (said.state === "done" || said.state === "failed") return said;
-      await new Promise((done) => setTimeout(done, LOOK_EVERY_MS));
+  /** A status: what is done with this run now, and what is no longer. */
+  heard({ jobs }) {
+    const mine = jobs.filter(({ run }) => run === this.id);
+    for (const { id, kind } of mine) {
+      this.jobs.set(id, kind);
+      this.buttons[kind].disabled = true;
     }
-    return null;
+    if (mine.length) this.#tell(mine.map(({ kind, state, progress }) => `${WORK[kind]}: ${state === "waiting" ? "waits for its turn" : progress || "begins"} …`).join(" "));
+    for (const id of this.jobs.keys()) {
+      if (!mine.some((job) => job.id === id)) this.#ask(id);
+    }
+  }
+
+  /** A job that no status has any more: over, or so new that the status did not know it. */
+  async #ask(id) {
+    const kind = this.jobs.get(id);
+    this.jobs.delete(id);
+    try {
+      const { state, sentence } = await get(`/jobs/${encodeURIComponent(id)}`);
+      if (this.closed) return;
+      if (state === "waiting" || state === "running") {
+        this.jobs.set(id, kind);
+        return;
+      }
+      await this.#load();
+      this.#tell(sentence, state === "failed");
+    } catch (error) {
+      this.#tell(error.message, true);
+    }
+    this.buttons[kind].disabled = false;
+  }
+
+  #tell(text, wrong = false) {
+    this.working.classList.toggle("wrong", wrong);
+    say(this.working, text);
   }
 
   #notes(run) {
@@ -131,7 +166,7 @@ class RunPage {
       try {
         const { t_s, columns } = await get(`${runPath(this.id)}/samples?${new URLSearchParams({ channels: channel, points: POINTS })}`);
         if (this.closed) return;
-        const drawn = bandChart(`${title}, least and largest over ${number(t_s.length, 9)} blocks`, t_s, columns[channel], scale);
+        const drawn = bandChart(`${title}, over time / s: least and largest of ${number(t_s.length, 9)} blocks`, t_s, columns[channel], scale);
         this.charts.push(drawn);
         this.plots.append(drawn.figure);
       } catch (error) {
@@ -157,29 +192,6 @@ function about(run) {
     ["length", duration(run.seconds)],
     ["missed slots", number(run.missed, 9)],
   ]);
-}
-
-function verdictCard({ diagnosis, verdict }) {
-  const card = (...children) => h("section", { class: "card", "aria-label": "Verdict" }, h("h2", {}, "Verdict"), children);
-  if (!diagnosis) return card(h("p", { class: "hint" }, "Not diagnosed yet: servo-bench diagnose on the recording writes a verdict beside it."));
-  const causes = Array.isArray(diagnosis.causes) ? diagnosis.causes : [];
-  return card(
-    h("p", { class: "large" }, verdict ?? NOTHING),
-    h("p", {}, String(diagnosis.sentence ?? "")),
-    causes.map((cause) =>
-      h(
-        "div",
-        {},
-        h("h3", {}, `${cause.effect}, confidence ${quantity(100 * cause.confidence, "%", 3)}`),
-        pairs(
-          Object.entries(cause.parameters ?? {}).map(([name, { value, unit, ci95 }]) => [
-            name,
-            `${quantity(value, unit)}${ci95 ? ` (95 %: ${number(ci95[0])} to ${number(ci95[1])})` : ""}`,
-          ]),
-        ),
-      ),
-    ),
-  );
 }
 
 function qualityCard({ quality, sentences }) {

@@ -2,7 +2,7 @@
 
 import { get } from "../api.js";
 import { fill, h, say } from "../dom.js";
-import { NOTHING, duration, number, quantity, when } from "../format.js";
+import { NOTHING, duration, number, quantity, when, words } from "../format.js";
 import { button } from "../sheet.js";
 
 const PAGE = 50;
@@ -28,20 +28,22 @@ class RunList {
     this.newer = button("Newer", () => this.#turn(-PAGE));
     this.older = button("Older", () => this.#turn(PAGE));
     const names = ["", "Run", "Started", "Experiment", "Ended", "Length", "Missed", "VAF, fresh", "Verdict", "Tags"];
+    const wide = new Set(["Experiment", "Length", "Missed"]); // left out where the screen is narrow
+    const numeric = new Set(["Length", "Missed", "VAF, fresh"]);
     this.element = h(
       "section",
       { "aria-label": "Runs" },
       h("h1", {}, "Runs"),
       h("div", { class: "tools" }, h("label", { for: "search" }, "Search"), this.search, this.tagShown, this.compare, this.total),
       this.wrong,
-      h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, names.map((name) => h("th", { scope: "col" }, name)))), this.rows)),
+      h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, names.map((name) => h("th", { scope: "col", class: `${wide.has(name) ? "wide" : ""} ${numeric.has(name) ? "numeric" : ""}` }, name)))), this.rows)),
       h("div", { class: "tools" }, this.newer, this.older),
     );
     this.#load();
   }
 
-  heard({ last, state }) {
-    const text = JSON.stringify([last, state]);
+  heard({ last, state, jobs }) {
+    const text = JSON.stringify([last, state, jobs.map(({ id }) => id)]);
     if (this.heardText !== undefined && text !== this.heardText) this.#load();
     this.heardText = text;
   }
@@ -93,12 +95,12 @@ class RunList {
       h("td", {}, pick),
       h("td", { class: "run-name" }, h("a", { href: `#/runs/${encodeURIComponent(run.id)}` }, run.name || NOTHING), run.notes ? h("span", { class: "hint note" }, run.notes) : null),
       h("td", { class: "nowrap" }, when(run.started_utc)),
-      h("td", {}, run.experiment || NOTHING),
+      h("td", { class: "wide" }, run.experiment || NOTHING),
       h("td", { title: run.sentence }, h("span", { class: `ended ended-${run.state}` }, run.state)),
-      h("td", { class: "numeric" }, duration(run.seconds)),
-      h("td", { class: "numeric" }, number(run.missed, 9)),
+      h("td", { class: "numeric wide" }, duration(run.seconds)),
+      h("td", { class: "numeric wide" }, number(run.missed, 9)),
       h("td", { class: "numeric" }, quantity(fresh, "%", 4)),
-      h("td", {}, run.verdict ?? NOTHING),
+      h("td", { title: run.verdict ?? "not diagnosed" }, run.causes.length ? words(run.causes.join(", ")) : (run.verdict ?? NOTHING)),
       h("td", {}, run.tags.map((tag) => button(tag, () => this.#filter(tag), { class: "tag", "aria-label": `Show runs with the tag ${tag}` }))),
     );
   }

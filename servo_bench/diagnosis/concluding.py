@@ -1,0 +1,72 @@
+"""Recordings in, a verdict out, whatever they are: the one way for all that ask for a diagnosis.
+
+Data that were read and cannot be judged end in the verdict "unknown", which says why; only what
+the one who asks can mend (no rig, recordings that do not go together) is an error.
+"""
+
+from collections.abc import Collection, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from servo_bench.diagnosis.diagnose import believed, investigate
+from servo_bench.diagnosis.elsewhere import diagnose_open, is_open
+from servo_bench.diagnosis.finding import Finding, nothing_told
+from servo_bench.diagnosis.judgement import verdict_of
+from servo_bench.diagnosis.picture import picture
+from servo_bench.diagnosis.rounds import Told
+from servo_bench.diagnosis.undecided import check_alike, open_questions, undecided
+from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.errors import FitError
+from servo_bench.recording.recording import Recording
+from servo_bench.rig import RigConfig
+from sim_rig.errors import SimRigError
+
+FAILED = (FitError, SimRigError, np.linalg.LinAlgError)
+"""What an estimate may end in; stated in the verdict."""
+
+
+class Concluded(NamedTuple):
+    """The verdict, and what it was written from, where the data could be judged."""
+
+    verdict: Verdict
+    finding: Finding | None
+
+
+def conclude(
+    recordings: Sequence[Recording],
+    *,
+    rig: RigConfig | None = None,
+    held_out: Recording | None = None,
+    without: Collection[str] = (),
+    only: Collection[str] = (),
+    report: Told = nothing_told,
+) -> Concluded:
+    """The verdict on recordings of one rig, with the error's picture and its open questions.
+
+    `rig` is what is believed, else the first recording's own; the others are as in `diagnose`.
+    ConfigError where no rig is known and the data are not from elsewhere, or where the recordings
+    do not go together.
+    """
+    check_alike(recordings, held_out)
+    config = rig if rig is not None else recordings[0].rig
+    elsewhere = config is None and all(is_open(one) for one in recordings)
+    model = config.model() if config is not None else None if elsewhere else believed(recordings)
+    try:
+        if model is None:
+            judged = diagnose_open(recordings, held_out=held_out, without=without, only=only)
+            return Concluded(judged, None)
+        finding = investigate(
+            recordings, model=model, held_out=held_out, without=without, only=only, report=report
+        )
+        report("writing the verdict")
+        return Concluded(_told(finding, recordings[0]), finding)
+    except FAILED as error:
+        return Concluded(undecided(error, recordings), None)
+
+
+def _told(finding: Finding, recording: Recording) -> Verdict:
+    """The verdict on a finding, with its picture and what this excitation leaves open."""
+    verdict = verdict_of(finding)
+    open_still = (*verdict.undecided, *open_questions(recording))
+    return verdict.model_copy(update={"signature": picture(finding), "undecided": open_still})

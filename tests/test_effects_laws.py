@@ -168,6 +168,19 @@ class TestCommand:
         plain = Model(LOOSE).simulate(large, PERIOD_S)
         assert np.array_equal(model.simulate(large, PERIOD_S)[0], plain[0])
 
+    def test_deadband_of_the_other_kind_begins_at_zero(self) -> None:
+        """A dead zone: a command beyond the band acts as one that is less by the band."""
+        zone = {"deadband_rad_s": 0.3, "offset_fraction": 1.0}
+        model = Model(LOOSE).with_effect("command_deadband", **zone)
+        commands = np.random.default_rng(1).uniform(-1.0, 1.0, 100)
+        less = np.sign(commands) * np.maximum(np.abs(commands) - 0.3, 0.0)
+        np.testing.assert_allclose(
+            model.simulate(commands, PERIOD_S).load_angle_rad,
+            Model(LOOSE).simulate(less, PERIOD_S).load_angle_rad,
+            rtol=0,
+            atol=1e-12,
+        )
+
     def test_scale_is_a_gear(self) -> None:
         model = Model(RIGID).with_effect("command_scale", error_fraction=0.01)
         commands = levels(200)

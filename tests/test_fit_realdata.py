@@ -11,7 +11,6 @@ import pytest
 from scipy.signal import savgol_filter
 
 from servo_bench.diagnosis.fit import Fit, fit
-from servo_bench.errors import FitError
 from servo_bench.foreign.importing import read_foreign
 from servo_bench.foreign.maps import load_map
 from servo_bench.recording.recording import Recording
@@ -75,10 +74,3 @@ def test_what_the_recording_cannot_tell_apart_is_said() -> None:
     (note,) = fitted(1.0).notes
     assert note.startswith("viscous.damping_nm_s_per_rad and coulomb.torque_nm")
     assert "tell apart" in note or "told apart" in note
-
-
-def test_a_voltage_is_no_current() -> None:
-    path = measured("undcmotor/DCmotor_prbs_open_exp.csv")
-    recording = read_foreign(path, load_map("maps/undcmotor.toml"))
-    with pytest.raises(FitError, match="a current or torque and the motor's motion"):
-        fit(recording, PER_KT, ("J",))

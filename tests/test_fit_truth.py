@@ -6,10 +6,12 @@ be off, which was fixed beforehand: 3 % of a gain, 6 % of the gap, of a friction
 15 %. Seeds here are for this test alone.
 """
 
+import math
 from dataclasses import replace
 
 import pytest
 
+from servo_bench.diagnosis.comparison import compare
 from servo_bench.diagnosis.fit import fit
 from servo_bench.excitation.experiment import Experiment, load_experiment
 from servo_bench.rig import load_rig
@@ -63,3 +65,30 @@ def test_the_ratio_of_inertia_and_torque_constant_is_found_and_no_more(
     assert found["J"].value / found["K_T"].value == pytest.approx(right, rel=GAIN_WITHIN)
     assert any("K_T and J cannot be told apart" in note for note in found.notes)
     assert found["J"].standard_error > 0.05 * found["J"].value
+
+
+@pytest.mark.parametrize("seed", [241, 242])
+def test_a_coupling_that_twists_has_its_mass_before_the_gap(seed: int) -> None:
+    """The model with the truth's numbers is nearer than the one without; behind the gap, that mass
+    would be thrown about."""
+    compliance, share, ratio = 1.0 / 100.0, 0.3, 0.03
+    recording = hidden.record(
+        hidden.hide(seed, {"coupling_compliance": compliance}), experiment(), nominal()
+    )
+    inertia = nominal().inertia_kg_m2
+    rings_rad_s = math.sqrt(1.0 / (compliance * share * (1.0 - share) * inertia))
+    plain = Model(nominal())
+    coupled = plain.with_effect(
+        "coupling_compliance",
+        compliance_rad_per_nm=compliance,
+        load_inertia_kg_m2=share * inertia,
+        damping_s=2.0 * ratio / rings_rad_s,
+    )
+    comparison = compare(recording, plain)
+    everywhere = comparison.seen | comparison.held_out
+    rigid, twisted = (
+        dict(zip([s.name for s in comparison.signals], comparison.rms(e, everywhere), strict=True))
+        for e in comparison.errors_of([plain, coupled])
+    )
+    assert twisted["torque"] < 0.8 * rigid["torque"]
+    assert twisted["load velocity"] < rigid["load velocity"]

@@ -11,8 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_rig.model.contact import meet, oscillate, upward
+from sim_rig.model.contact import meet, oscillate, twisted, upward
+from sim_rig.model.lesser import greater, lesser
 from sim_rig.model.propagator import propagator
+from sim_rig.model.skeleton import FINER, IMPACT_S
 
 Array = NDArray[np.float64]
 
@@ -77,7 +79,7 @@ class Symbols(NamedTuple):
     j_load: float = 5e-6
 
 
-def eighteen(  # noqa: PLR0915 - one loop, by hand
+def eighteen(  # noqa: PLR0912, PLR0915 - one loop, by hand
     s: Symbols, commands: Array, period_s: float, longest_step_s: float, loads: Array
 ) -> None:
     """The recorded load angle, rad, at every slot's end."""
@@ -90,7 +92,7 @@ def eighteen(  # noqa: PLR0915 - one loop, by hand
     per_mass = per_load + per_motor
     gap = max(s.gap + s.gap_change, 0.0)
     clamp = s.clamp / s.k_i
-    deviation, apart, q = 0.0, 0.0, 0.0
+    deviation, apart, q, driven, jerk, change, cut_before = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(commands.size):
         draw = 43758.5453 * sin(12.9898 * k + 1.0)
         held = held if draw - floor(draw) < s.missed else commands[k]
@@ -101,10 +103,18 @@ def eighteen(  # noqa: PLR0915 - one loop, by hand
                 drive, powered = held, True
             steps = ceil(length / longest_step_s - 1e-9)
             k_p, k_i = (s.k_p, s.k_i) if powered else (0.0, 0.0)
-            for part in range(3):
-                h = 0.0 if part == 0 else length / steps
-                since = 0.5 * h if part == 1 else h
-                half = 0.5 * h
+            part, whole, fine, before, soon = 0, steps, 0, 0.0, False
+            while part == 0 or whole > 0 or fine > 0:
+                if part == 1 and soon and fine == 0:
+                    least = ceil(IMPACT_S * steps / length - 1e-9)
+                    least = least if least < whole else whole
+                    whole, fine = whole - least, least * FINER
+                h = 0.0 if part == 0 else length / steps if fine == 0 else length / steps / FINER
+                since = 0.5 * (before + h)
+                per_since = 1.0 / since if since > 0.0 else 0.0
+                count = 1 if part == 0 or before != h else whole if fine == 0 else fine
+                half, lead, cube = 0.5 * h, 0.5 * before + 0.25 * h, h * h * h / 12.0
+                before = h
                 a11, a12, a21, a22, b11, b12, b21, b22, c11, c12 = propagator(
                     per_a * k_p, per_a * k_i, half
                 )
@@ -113,12 +123,15 @@ def eighteen(  # noqa: PLR0915 - one loop, by hand
                 )
                 left = exp(-h / s.lag)
                 mean = (1.0 - left) / (h / s.lag) if h > 0.0 else 1.0
-                for _ in range(steps - 1 if part == 2 else 1):
+                done = 0
+                while done < count:
+                    done += 1
                     error = omega - drive
+                    pulled, lately = deviation + lead * jerk, q + lead * change
                     angle = theta + (drive * half + b11 * error + b12 * z)
-                    angle += c11 * deviation + c12 * q
-                    velocity = drive + (a11 * error + a12 * z) + (b11 * deviation + b12 * q)
-                    integral = (a21 * error + a22 * z) + (b21 * deviation + b22 * q)
+                    angle += c11 * pulled + c12 * lately
+                    velocity = drive + (a11 * error + a12 * z) + (b11 * pulled + b12 * lately)
+                    integral = (a21 * error + a22 * z) + (b21 * pulled + b22 * lately)
                     load_angle, load_velocity = load, rate
                     x, v = theta - load, omega - rate
                     if h > 0.0:
@@ -134,8 +147,10 @@ def eighteen(  # noqa: PLR0915 - one loop, by hand
                     ideal = k_p * (drive - velocity) + k_i * integral
                     integral = min(max(integral, -clamp), clamp)
                     asked = s.k_p * (drive - velocity) + s.k_i * integral if powered else 0.0
+                    cut = asked
                     asked = min(max(asked, -s.limit), s.limit)
-                    slope = (asked - seen) / since if part > 0 else 0.0
+                    cut -= asked
+                    slope = (asked - seen) * per_since
                     end = asked + half * slope
                     made = current
                     if h > 0.0:
@@ -145,6 +160,9 @@ def eighteen(  # noqa: PLR0915 - one loop, by hand
                         current = end + (current - edge) * left - behind
                     edge, seen = end, asked
                     torque = s.k_t * made * (1.0 + s.k_t_error)
+                    jerk = -driven
+                    driven = torque * per_motor - per_a * ideal
+                    jerk = (jerk + driven) * per_since
                     torque += s.cogging * sin(s.order * angle + s.phase)
                     torque -= s.coulomb * tanh(velocity / s.transition)
                     travel = velocity * h / s.dahl_rad
@@ -158,7 +176,9 @@ def eighteen(  # noqa: PLR0915 - one loop, by hand
                     on_load -= s.load_friction * tanh(load_velocity / s.load_transition)
                     deviation = torque * per_motor - per_a * ideal
                     apart = torque * per_motor - on_load * per_load
+                    change = -q
                     q = velocity - drive + (drive - velocity)
+                    change = (change + q) * per_since
                     if h > 0.0:
                         x_end, v_end = meet(x, v, apart, per_mass, s.stiffness, s.damping_s, gap, h)
                         impulse = (v + apart * h - v_end) / per_mass
@@ -166,13 +186,31 @@ def eighteen(  # noqa: PLR0915 - one loop, by hand
                         contact, late = impulse / h, moment - impulse * half
                         pull = deviation - contact * per_motor
                         theta += drive * h + s11 * error + s12 * z + d11 * pull + d12 * q
-                        theta -= late * per_motor
                         omega = drive + (e11 * error + e12 * z) + (s11 * pull + s12 * q)
-                        z = e21 * error + e22 * z + s21 * pull + s22 * q + late * per_motor
+                        z = e21 * error + e22 * z + s21 * pull + s22 * q
+                        lag = late * per_motor + jerk * cube
+                        theta -= lag
+                        omega += per_a * (k_p * lag - k_i * change * cube)
+                        z += lag
                         z = min(max(z, -clamp), clamp) if powered else 0.0
                         pushed = (contact + on_load) * per_load
                         load += (rate + pushed * half) * h + late * per_load
                         rate += pushed * h
+                    closing = omega - rate
+                    ahead = theta - load if closing > 0.0 else load - theta
+                    soon = 0.0 < 0.5 * gap - ahead < 1.5 * abs(closing) * length / steps
+                    if cut != 0.0 and since > 0.0:
+                        ahead = cut * since + 2.0 * (cut - cut_before) * length / steps
+                        soon = soon or cut * ahead < 0.0
+                    cut_before = cut
+                    if soon and fine == 0:
+                        break
+                if part == 0:
+                    part = 1
+                elif fine == 0:
+                    whole -= done
+                else:
+                    fine -= done
         loads[k] = load + s.eccentricity * sin(load + s.eccentricity_phase)
 
 
@@ -181,10 +219,9 @@ def compiled() -> Callable[..., None]:
     from numba import njit  # noqa: PLC0415 - only a measurement needs it
 
     options: Any = {"nogil": True, "error_model": "numpy"}
-    names = {
-        function.__name__: njit(**options)(function) for function in (propagator, oscillate, upward)
-    }
-    names["meet"] = njit(**options)(_with(meet, names))
+    names: dict[str, Any] = {}
+    for function in (lesser, greater, propagator, oscillate, twisted, upward, meet):
+        names[function.__name__] = njit(**options)(_with(function, names))
     run: Callable[..., None] = njit(**options)(_with(eighteen, names))
     return run
 

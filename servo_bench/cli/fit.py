@@ -16,6 +16,7 @@ from servo_bench.cli.output import refuse_existing, write_json, write_text
 from servo_bench.diagnosis.comparison import Choice
 from servo_bench.diagnosis.fit import Fit
 from servo_bench.diagnosis.fit import fit as fit_recording
+from servo_bench.diagnosis.foreign_start import starting_model
 from servo_bench.diagnosis.model_file import load_model, model_text
 from servo_bench.diagnosis.solver import Progress as Where
 from servo_bench.errors import ConfigError, FitError
@@ -106,10 +107,7 @@ def _start(recording: Recording, rig: Path | None, model: Path | None) -> Model:
         return Model(load_rig(rig).nominal_values())
     if recording.rig is not None:
         return Model(recording.rig.nominal_values())
-    raise ConfigError(
-        "the recording says nothing of its rig: give --rig RIG.toml, or --model MODEL.toml with "
-        "[nominal]."
-    )
+    return starting_model(recording)
 
 
 @contextmanager

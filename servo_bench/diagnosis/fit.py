@@ -14,11 +14,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from servo_bench.diagnosis.comparison import Choice, Comparison, compare
+from servo_bench.diagnosis.driven import compare_driven, is_driven
+from servo_bench.diagnosis.foreign_ranges import for_elsewhere
 from servo_bench.diagnosis.free import FreeParameter, free_parameters
 from servo_bench.diagnosis.rows import Array
 from servo_bench.diagnosis.sharpening import sharpened
 from servo_bench.diagnosis.solver import Problem, Report, Solved, solve
 from servo_bench.diagnosis.starting import starting_numbers
+from servo_bench.diagnosis.twist import compare_locked
 from servo_bench.diagnosis.uncertainty import correlation, covariance, deviations_of, inseparable
 from servo_bench.errors import FitError
 from servo_bench.recording.blocks import Name
@@ -137,8 +140,10 @@ def fit(
     search that fails is no exception: `Fit.converged` and `Fit.reason`.
     """
     parameters = free_parameters(model, free)
-    comparison = compare(recording, model, block, window_s)
-    judged = compare(held_out, model, comparison.block, window_s) if held_out else None
+    comparison = compared(recording, model, block, window_s)
+    judged = compared(held_out, model, comparison.block, window_s) if held_out else None
+    if recording.plant is not None:
+        parameters = for_elsewhere(parameters, comparison, model)
     problem = Problem(comparison, model, parameters, prior=prior)
     solved = sharpened(problem, solve(problem, starting_numbers(problem), report))
     numbers = _turned(solved.numbers * problem.spreads, parameters) / problem.spreads
@@ -166,6 +171,17 @@ def fit(
         reason=" ".join(reasons),
         notes=(*alike.sentences, *_nothing_of(parameters, solved)),
     )
+
+
+def compared(
+    recording: Recording, model: Model, block: Choice, window_s: float | None
+) -> Comparison:
+    """The recording beside the model, whatever drives it and whether its output is free."""
+    if recording.plant is not None and recording.plant.output_locked:
+        return compare_locked(recording, block, window_s)
+    if is_driven(recording):
+        return compare_driven(recording, model, block, window_s)
+    return compare(recording, model, block, window_s)
 
 
 def _turned(values: Array, parameters: Sequence[FreeParameter]) -> Array:

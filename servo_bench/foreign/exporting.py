@@ -24,13 +24,14 @@ Kind = Literal["csv", "parquet", "mat", "npz"]
 LONGEST_MAT_NAME = 31
 
 
-def export(recording: Recording, path: str | Path, kind: Kind) -> None:
-    """Write every channel to the new file `path`.
+def export(recording: Recording, path: str | Path, kind: Kind, *, fast: bool = False) -> None:
+    """Write every channel to the new file `path`; with `fast` the several samples of each command.
 
     Raises ConfigError where the file exists, cannot be written, or needs a package that is not
-    installed; RecordingError where the format has no room for a channel's name.
+    installed; RecordingError where the format has no room for a channel's name, or where there are
+    no fast samples.
     """
-    columns = columns_of(recording)
+    columns = fast_columns_of(recording) if fast else columns_of(recording)
     writer = WRITERS[kind]
     if kind == "parquet":
         pyarrow_parquet()  # before there is a file
@@ -43,6 +44,17 @@ def columns_of(recording: Recording) -> dict[str, NDArray[Any]]:
     if "t_s" in recording:
         return dict(recording.channels)
     return {"t_s": _times(recording), **recording.channels}
+
+
+def fast_columns_of(recording: Recording) -> dict[str, NDArray[Any]]:
+    """The fast samples by name, shape (samples,), `t_s` from the first one's ask among them."""
+    if not recording.fast:
+        raise RecordingError(
+            "this recording has one sample per command and no fast ones. Export it without --fast, "
+            "or record with drive.samples_per_command above 1."
+        )
+    asked_ns = recording.fast["asked_ns"]
+    return {"t_s": (asked_ns - asked_ns[:1]) * 1e-9, **recording.fast}
 
 
 def _times(recording: Recording) -> NDArray[np.float64]:

@@ -36,6 +36,7 @@ UNITS: tuple[tuple[str, str], ...] = (
 BLOCKS = {
     Port.INERTIA: "mechanics",
     Port.TRANSMISSION: "transmission",
+    Port.COUPLING: "transmission",
     Port.BACKLASH_GAP: "transmission",
     Port.LOAD_TORQUE: "transmission",
     Port.ELECTRIC_TORQUE: "mechanics",

@@ -1,13 +1,15 @@
-"""Coupling compliance: the shaft between motor and load twists, and the load is a second mass.
+"""Coupling compliance: the shaft behind the motor twists, and what it turns is a second mass.
 
-    theta_twist = c tau,      f_antiresonance = sqrt(1 / (c J_l)) / 2 pi
+    tau = k (theta - theta_c + h (omega - omega_c)),   k = 1/c,   (J - J_c) | k, k h | J_c | gap
 
 c    compliance_rad_per_nm   one over the coupling's stiffness; zero is rigid
 h    damping_s               damping over stiffness
-J_l  load_inertia_kg_m2      that share of the total inertia which lies behind the coupling
+J_c  load_inertia_kg_m2      that share of the total inertia which lies behind the coupling
 
-In series with the gap, and with the compliance of the gap's faces (see contact), which differs
-by a far lighter mass behind it and far more damping.
+A held motor leaves J_c at f_antiresonance = sqrt(k / J_c) / 2 pi, a free one lets both ring at
+f_resonance = sqrt(k (1/(J - J_c) + 1/J_c)) / 2 pi. The gap lies behind J_c, and the load's encoder
+behind the gap: as c goes to zero this becomes the rig that it was, with all of J before the gap.
+An inertia behind the gap is another cause (see contact), and both together are three bodies.
 """
 
 from typing import Annotated, Any, NamedTuple
@@ -33,11 +35,11 @@ def law(s: Any, p: Params) -> Any:
 
 
 EFFECT = Effect(
-    port=Port.TRANSMISSION,
+    port=Port.COUPLING,
     params=Params,
     law=law,
     sample={"compliance_rad_per_nm": 5e-3, "damping_s": 3e-4},
-    shows="ringing at the resonance; with a gap its frequency depends on amplitude",
+    shows="ringing at the resonance in the motor's velocity, and on either side of the gap",
     confused_with=("contact", "pre_sliding", "current_loop_lag", "backlash_width"),
-    source="Nordin, Gutman, Automatica 38 (2002)",
+    source="Leonhard, Control of Electrical Drives (2001), ch. 10; Ellis, Lorenz, IAS (2000)",
 )

@@ -79,6 +79,9 @@ class Port(StrEnum):
     TRANSMISSION = "transmission"
     """sum, once a simulation: (compliance rad/Nm, compliance x damping time rad s/Nm, load inertia
     kg m^2); any compliance makes the load a second mass that is driven through the gap"""
+    COUPLING = "coupling"
+    """sum, once a simulation: the same of a spring between the motor and what drives the gap; any
+    compliance makes that a mass of its own"""
     SLOT_DURATION = "slot_duration_s"
     """pipe, once a slot: the slot's length on the rig's own clock"""
     SLOT_COMMAND = "slot_command_rad_s"
@@ -118,7 +121,10 @@ class Port(StrEnum):
         return self in _SUMS
 
 
-_SUMS = {Port.TRANSMISSION, Port.COMMAND_DELAY, Port.MOTOR_TORQUE, Port.LOAD_TORQUE}
+_SUMS = {
+    *(Port.TRANSMISSION, Port.COUPLING, Port.COMMAND_DELAY),
+    *(Port.MOTOR_TORQUE, Port.LOAD_TORQUE),
+}
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,8 @@ pushes and pulls.
 
 from math import cos, exp, sin, sqrt
 
+from sim_rig.model.lesser import greater, lesser
+
 
 def oscillate(y: float, v: float, delta: float, square: float, t: float) -> tuple[float, float]:
     """(y, y') after t of y'' + 2 delta y' + (square + delta^2) y = 0; square may be negative."""
@@ -28,15 +30,25 @@ def oscillate(y: float, v: float, delta: float, square: float, t: float) -> tupl
     return y * c + (v + delta * y) * s, v * c - ((square + delta * delta) * y + delta * v) * s
 
 
+def twisted(  # noqa: PLR0917 - compiled, and compiled calls name nothing
+    x: float, v: float, a: float, mu: float, k: float, d: float, h: float
+) -> tuple[float, float]:
+    """(x, x') after h of a spring that pushes and pulls: a coupling."""
+    delta = 0.5 * mu * k * d
+    rest = a / (mu * k)
+    y, w = oscillate(x - rest, v, delta, mu * k - delta * delta, h)
+    return y + rest, w
+
+
 def upward(x: float, v: float, a: float, never: float) -> float:
     """When x + v t + a t^2 / 2 next crosses zero from below; `never` where it does not."""
     root = v * v - 2.0 * a * x
     if root < 0.0 or (v <= 0.0 and a <= 0.0):
         return never
-    return max(-2.0 * x / (v + sqrt(root)) if v > 0.0 else (sqrt(root) - v) / a, 0.0)
+    return greater(-2.0 * x / (v + sqrt(root)) if v > 0.0 else (sqrt(root) - v) / a, 0.0)
 
 
-def meet(  # noqa: PLR0912, PLR0915, PLR0917 - compiled; one event after another
+def meet(  # noqa: PLR0912, PLR0917 - compiled; one event after another
     x: float, v: float, a: float, mu: float, k: float, d: float, gap: float, h: float
 ) -> tuple[float, float]:
     """(x, x') after h."""
@@ -44,9 +56,7 @@ def meet(  # noqa: PLR0912, PLR0915, PLR0917 - compiled; one event after another
     delta = 0.5 * mu * k * d
     square = mu * k - delta * delta
     if half <= 0.0:
-        rest = a / (mu * k)
-        y, v = oscillate(x - rest, v, delta, square, h)
-        return y + rest, v
+        return twisted(x, v, a, mu, k, d, h)
     # An eighth of a period at most, so that no release hides within a piece.
     longest, never = 0.75 / sqrt(mu * k), 2.0 * h + 1.0
     left, side = h, 1.0 if x >= 0.0 else -1.0
@@ -62,7 +72,7 @@ def meet(  # noqa: PLR0912, PLR0915, PLR0917 - compiled; one event after another
             # Pressed in, it waits for its face's force or for the way out; else for a face.
             met = upward(p + d * w, w + d * b, b, never) if pressed else upward(p, w, b, never)
             other = upward(-p, -w, -b, never) if pressed else upward(-p - gap, -w, -b, never)
-            t = min(met, other, left)
+            t = lesser(lesser(met, other), left)
             x, v = x + v * t + 0.5 * a * t * t, v + a * t
             # Met a face; or left the one it was pressed into, for the gap; or met the other.
             if t == met:
@@ -76,12 +86,14 @@ def meet(  # noqa: PLR0912, PLR0915, PLR0917 - compiled; one event after another
             continue
         rest = side * a / (mu * k)
         y0, v0 = side * x - half - rest, side * v
-        t = min(left, longest)
+        t = lesser(left, longest)
         y, w = oscillate(y0, v0, delta, square, t)
         if y + rest + d * w < 0.0:
             low, high = 0.0, t
             for _ in range(60):
                 force = y + rest + d * w
+                if abs(force) < 1e-15 or high - low < 1e-15:
+                    break
                 if force < 0.0:
                     high = t
                 else:
@@ -92,8 +104,6 @@ def meet(  # noqa: PLR0912, PLR0915, PLR0917 - compiled; one event after another
                 if not low < t < high:
                     t = 0.5 * (low + high)
                 y, w = oscillate(y0, v0, delta, square, t)
-                if high - low < 1e-15 or abs(force) < 1e-15:
-                    break
             free = True
         x, v = side * (y + rest + half), side * w
         left -= t

@@ -22,7 +22,10 @@ from sim_rig.effects.effect import Effect
 from sim_rig.model.page import memory_names, page_text, parameter_names
 from sim_rig.model.skeleton import MEMORY
 
-HELPERS = ("propagator", "oscillate", "upward", "meet", "reach", "share_pushed")
+HELPERS = (
+    *("lesser", "greater", "propagator"),
+    *("oscillate", "twisted", "upward", "meet", "reach", "share_pushed"),
+)
 _SIGNATURE = "b1(f8[::1],f8[::1],f8[::1],f8[::1],f8[::1],f8[:,::1],i8,f8,f8[:,::1])"
 
 

@@ -15,7 +15,7 @@ from sim_rig.errors import EffectError
 
 _RENAMED = {
     **{name: name for name in ("sin", "cos", "tan", "tanh", "exp", "expm1", "log", "sqrt")},
-    **{"floor": "floor", "hypot": "hypot", "abs": "abs", "minimum": "min", "maximum": "max"},
+    **{"floor": "floor", "hypot": "hypot", "abs": "abs", "minimum": "lesser", "maximum": "greater"},
     **{"arctan": "atan", "arctan2": "atan2"},
 }
 
@@ -129,7 +129,7 @@ class _Translate(ast.NodeTransformer):
             return ast.IfExp(zero, _call("copysign", ast.Constant(1.0), x), ast.Constant(0.0))
         if name == "clip":
             x, low, high = arguments
-            return _call("min", _call("max", x, low), high)
+            return _call("lesser", _call("greater", x, low), high)
         if name == "rint":
             (x,) = arguments
             return _call("floor", ast.BinOp(x, ast.Add(), ast.Constant(0.5)))

@@ -133,6 +133,7 @@ class Model:
         )
         off = command_rad_s is None
         values[5] = np.nan
+        values[10:12] = motor_angle_rad, motor_velocity_rad_s
         rows = np.zeros((1, COLUMNS))
         look = np.array([np.nan if off else command_rad_s])
         run_page(machine, self, values, Inputs(look, np.zeros(1), np.zeros((1, 4))), rows)
@@ -141,20 +142,19 @@ class Model:
 
     def _check_inertias(self) -> None:
         inertia = self.nominal.inertia_kg_m2
-        compliance, load = 0.0, 0.0
+        behind = 0.0
         for name, params in self.effects.items():
             effect = find_effect(name)
             if effect.port is Port.INERTIA and not effect.is_off(params):
                 inertia = float(effect.law(Signals(inertia_kg_m2=inertia), params))
-            if effect.port is Port.TRANSMISSION and not effect.is_off(params):
-                more, _, mass = effect.law(Signals(), params)
-                compliance, load = compliance + more, load + mass
+            if effect.port in (Port.TRANSMISSION, Port.COUPLING) and not effect.is_off(params):
+                behind += effect.law(Signals(), params)[2]
         if not inertia > 0.0:
             raise EffectError(f"the effects make the inertia {inertia} kg m^2: must be above zero.")
-        if compliance > 0.0 and not 0.0 < load < inertia:
+        if not 0.0 <= behind < inertia:
             raise EffectError(
-                f"the load's inertia is {load:g} kg m^2 of {inertia:g} in all: it is a part of the "
-                "total; lower load_inertia_kg_m2 of contact and coupling_compliance."
+                f"the load's inertia is {behind:g} kg m^2 of {inertia:g} in all: it is a part of "
+                "the total; lower load_inertia_kg_m2 of contact and coupling_compliance."
             )
 
 

@@ -10,10 +10,16 @@ import re
 from collections.abc import Iterator, Mapping
 
 from sim_rig.effects.effect import Effect, Port
-from sim_rig.model import contact, play, propagator, skeleton
+from sim_rig.model import contact, lesser, play, propagator, skeleton
 from sim_rig.model.inline import Inlined, inline
 
 _MARKER = re.compile(r"^(?P<indent> *)# (?P<what>parameters|memory|pack|port (?P<port>\w+))$")
+
+
+_SPRINGS = {
+    Port.TRANSMISSION: ("compliance", "damping", "load_inertia"),
+    Port.COUPLING: ("shaft_compliance", "shaft_damping", "hub_inertia"),
+}
 
 
 def parameter_names(effects: Mapping[str, Effect]) -> list[tuple[str, str]]:
@@ -36,8 +42,11 @@ def page_text(effects: Mapping[str, Effect]) -> str:
     functions = [
         inspect.getsource(function)
         for function in (
+            lesser.lesser,
+            lesser.greater,
             propagator.propagator,
             contact.oscillate,
+            contact.twisted,
             contact.upward,
             contact.meet,
             play.reach,
@@ -60,6 +69,7 @@ def page_text(effects: Mapping[str, Effect]) -> str:
         "",
         f"CLOSED, MECHANICS, MOTION = {skeleton.CLOSED}, {skeleton.MECHANICS}, {skeleton.MOTION}",
         f"QUEUE, HEAD, MEMORY = {skeleton.QUEUE}, {skeleton.HEAD}, {skeleton.MEMORY}",
+        f"IMPACT_S, FINER = {skeleton.IMPACT_S}, {skeleton.FINER}",
     ]
     return "\n".join([*header, "\n", "\n\n".join(functions), "", "\n".join(lines), ""])
 
@@ -111,8 +121,8 @@ def _shared(first: list[str], second: list[str]) -> int:
 
 
 def _handed_on(effect: Effect, body: Inlined) -> list[str]:
-    if effect.port is Port.TRANSMISSION:
-        sums = ("compliance", "damping", "load_inertia")
+    sums = _SPRINGS.get(effect.port)
+    if sums is not None:
         return [f"{name} += {value}" for name, value in zip(sums, body.value, strict=True)]
     (value,) = body.value
     return [f"{effect.port.value} {'+=' if effect.port.is_sum else '='} {value}"]

@@ -8,6 +8,8 @@ pushes against it; a load that is pulled ahead is held by its own friction.
 
 from math import sqrt
 
+from sim_rig.model.lesser import greater, lesser
+
 
 def reach(start: float, middle: float, end: float) -> float:
     """How far the motor goes in a unit step until it turns around (rad/s times the step).
@@ -16,9 +18,9 @@ def reach(start: float, middle: float, end: float) -> float:
     """
     b = 4.0 * middle - 3.0 * start - end
     c = 2.0 * (start + end) - 4.0 * middle
-    root = sqrt(max(b * b - 4.0 * start * c, 0.0))
+    root = sqrt(greater(b * b - 4.0 * start * c, 0.0))
     below = b + (root if end > start else -root)
-    t = min(max(-2.0 * start / below, 0.0), 1.0) if below != 0.0 else 0.0
+    t = lesser(greater(-2.0 * start / below, 0.0), 1.0) if below != 0.0 else 0.0
     return t * (start + t * (0.5 * b + t * c / 3.0))
 
 

@@ -5,17 +5,21 @@ stands this is the ideal rig, and runs.
 
 Time stepping. The ideal loop is linear and is propagated exactly (see `propagator`). What effects
 change is a deviation from it: an acceleration and an integrator rate, taken at the middle of the
-step as the ideal loop and the deviations of the step before predict it (an exponential midpoint
+step as the ideal loop and the deviations of the steps before predict it (an exponential midpoint
 rule, second order, one evaluation a step). Without effects the deviations are exactly zero.
 
     deviation a = (tau - tau_contact) / J_true - K_T i_ideal / J,   q = dz/dt - (r - omega)
+
+What the drive makes of a, and q, are smooth between jumps of the command, and are carried on as
+straight lines: a limited current falls behind the ideal one at a constant rate. Where a face is
+about to be met, or a limit to let go, steps are FINER times as fine for IMPACT_S.
 
 Transmission. With no compliance the play is rigid: y <- min(max(y, theta - W/2), theta + W/2),
 after every step and where the motor turned around within it; torques on the load reach the motor
 while it pushes against them. With compliance the load is a mass behind the gap (see `contact`).
 
-Slots are cut where a delayed command comes into force. Each piece has four parts: a look under
-the command that now holds, the first step, the other steps, and a look at the end.
+Slots are cut where a delayed command comes into force. Each piece has three parts: a look under
+the command that now holds, the steps, and a look at the end.
 """
 
 from math import (  # noqa: F401 - what laws may call in the page
@@ -38,13 +42,16 @@ from math import (  # noqa: F401 - what laws may call in the page
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_rig.model.contact import meet
+from sim_rig.model.contact import meet, twisted
+from sim_rig.model.lesser import greater, lesser
 from sim_rig.model.play import reach, share_pushed
 from sim_rig.model.propagator import propagator
 
 CLOSED, MECHANICS, MOTION = 0, 1, 2
 QUEUE = 64
 HEAD = 16
+IMPACT_S, FINER = 1e-4, 8
+"""An impact's steps are so many times finer, for so long (two whole steps at least)."""
 MEMORY = HEAD + 2 * QUEUE
 
 
@@ -73,7 +80,7 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
     nominal_gap_rad = rig[4]
     theta, omega, z, load, load_rate = state[0], state[1], state[2], state[3], state[4]
     drive, clock, slot, contact_torque_nm = state[5], state[6], state[7], state[8]
-    waiting = int(state[9])
+    waiting, hub, hub_rate = floor(state[9]), state[10], state[11]
     measured_motor_angle_rad, measured_current_a, measured_load_angle_rad = 0.0, 0.0, 0.0
     load_velocity_rad_s = load_rate
     complete = True
@@ -82,15 +89,26 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
     # port inertia_kg_m2
     compliance, damping, load_inertia = 0.0, 0.0, 0.0  # damping: time x compliance
     # port transmission
-    two_masses = compliance > 0.0
+    shaft_compliance, shaft_damping, hub_inertia = 0.0, 0.0, 0.0
+    # port coupling
+    two_masses, coupled = compliance > 0.0, shaft_compliance > 0.0
     damping_s = damping / compliance if two_masses else 0.0
+    shaft_s = shaft_damping / shaft_compliance if coupled else 0.0
+    shaft = 1.0 / shaft_compliance if coupled else 0.0
     per_load = 1.0 / load_inertia if two_masses else 0.0
-    motor_inertia = inertia_kg_m2 - load_inertia if two_masses else inertia_kg_m2
-    per_motor = 1.0 / motor_inertia
-    per_mass = per_load if mode == MOTION else per_load + per_motor
+    motor_inertia = inertia_kg_m2
+    motor_inertia -= load_inertia if two_masses else 0.0
+    motor_inertia -= hub_inertia if coupled else 0.0
+    per_motor, per_hub = 1.0 / motor_inertia, 1.0 / hub_inertia if coupled else 0.0
+    per_twist = per_hub if mode == MOTION else per_hub + per_motor
+    per_driver = per_hub if coupled else 0.0 if mode == MOTION else per_motor
+    per_mass = per_load + per_driver
+    if not coupled:
+        hub, hub_rate = theta, omega
     nominal_per_motor = 1.0 / nominal_inertia_kg_m2
     gap = nominal_gap_rad
     acceleration, rate, apart = 0.0, 0.0, 0.0
+    driven, jerk, change, wound, cut_before_a = 0.0, 0.0, 0.0, 0.0, 0.0
 
     for k in range(slot_commands_rad_s.size):
         slot_command_rad_s, slot_duration_s = slot_commands_rad_s[k], slot_durations_s[k]
@@ -104,15 +122,17 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
         if not on or (command_delay_s <= 0.0 and waiting == 0):
             drive, waiting = slot_command_rad_s, 0
         elif waiting < QUEUE:
-            due = max(command_delay_s, 0.0)
+            due = greater(command_delay_s, 0.0)
             if waiting > 0:
-                due = max(due, state[HEAD + 2 * waiting - 2])
+                due = greater(due, state[HEAD + 2 * waiting - 2])
             state[HEAD + 2 * waiting], state[HEAD + 2 * waiting + 1] = due, slot_command_rad_s
             waiting += 1
         else:
             complete = False
         if mode == MOTION:
             theta, omega = given[k, 0], given[k, 1]
+            if not coupled:
+                hub, hub_rate = theta, omega
         elapsed = 0.0
         while True:
             while waiting > 0 and state[HEAD] <= elapsed:
@@ -120,7 +140,7 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
                 waiting -= 1
                 for j in range(2 * waiting):
                     state[HEAD + j] = state[HEAD + j + 2]
-            until = min(slot_duration_s, state[HEAD]) if waiting > 0 else slot_duration_s
+            until = lesser(slot_duration_s, state[HEAD]) if waiting > 0 else slot_duration_s
             piece = until - elapsed
             powered = drive == drive  # noqa: PLR0124 - NaN is off
             r = drive if powered and mode == CLOSED else 0.0
@@ -133,57 +153,85 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
             per_a = torque_constant_nm_per_a * nominal_per_motor
             steps = ceil(piece / longest_step_s - 1e-9)
             h = piece / steps if steps > 0 else 0.0
-            for part in range(4):
-                # 0 look under this command, 1 first step, 2 the others, 3 look at the end
-                inner = 1 <= part <= 2
-                count = 1 if not inner else min(1, steps) if part == 1 else steps - 1
-                step_s = h if inner else 0.0
-                since_s = 0.0 if part == 0 else h if part == 2 else 0.5 * h  # noqa: F841 - for laws
+            part, whole, fine, before_s, soon = 0, steps, 0, 0.0, False
+            while part <= 2:
+                # 0 look under this command, 1 steps, alike ones in a row, 2 look at the end
+                if part == 1 and whole == 0 and fine == 0:
+                    part = 2
+                if part == 1 and soon and fine == 0:
+                    held = ceil(IMPACT_S / lesser(h, 0.5 * IMPACT_S) - 1e-9)
+                    held = held if held < whole else whole
+                    whole, fine = whole - held, held * FINER
+                step_s = 0.0 if part != 1 else h if fine == 0 else h / FINER
+                since_s = 0.0 if part == 0 else 0.5 * (before_s + step_s)
+                per_since = 1.0 / since_s if since_s > 0.0 else 0.0
+                count = 1 if part != 1 or before_s != step_s else whole if fine == 0 else fine
                 half_s = 0.5 * step_s
+                lead_s, cube = 0.5 * before_s + 0.25 * step_s, step_s * step_s * step_s / 12.0
+                before_s = step_s
                 a11, a12, a21, a22, b11, b12, b21, b22, c11, c12 = propagator(
                     per_a * loop_p, per_a * loop_i, half_s
                 )
                 e11, e12, e21, e22, s11, s12, s21, s22, d11, d12 = propagator(
                     per_a * loop_p, per_a * loop_i, step_s
                 )
-                for _ in range(count):
+                done = 0
+                while done < count:
+                    done += 1
                     # the middle of the step
                     error = omega - r
+                    lately, pulled = rate + lead_s * change, acceleration + lead_s * jerk
                     time_s = clock + elapsed + half_s  # noqa: F841 - for laws
                     motor_angle_rad = (
-                        theta
-                        + (r * half_s + b11 * error + b12 * z)
-                        + (c11 * acceleration + c12 * rate)
+                        theta + (r * half_s + b11 * error + b12 * z) + (c11 * pulled + c12 * lately)
                     )
                     motor_velocity_rad_s = (
-                        r + (a11 * error + a12 * z) + (b11 * acceleration + b12 * rate)
+                        r + (a11 * error + a12 * z) + (b11 * pulled + b12 * lately)
                     )
-                    integral_rad = (a21 * error + a22 * z) + (b21 * acceleration + b22 * rate)
+                    integral_rad = (a21 * error + a22 * z) + (b21 * pulled + b22 * lately)
+                    # what drives the gap: the motor, or what its coupling turns
+                    driver, driver_rate, shaft_nm = motor_angle_rad, motor_velocity_rad_s, 0.0
+                    if coupled:
+                        x, v = theta - hub, omega - hub_rate
+                        twist, twist_rate = twisted(x, v, wound, per_twist, shaft, shaft_s, half_s)
+                        if mode != MOTION:
+                            share = per_motor / per_twist
+                            moment = share * (x + (v + 0.5 * wound * half_s) * half_s - twist)
+                            motor_angle_rad -= moment
+                            integral_rad += moment
+                            motor_velocity_rad_s -= share * (v + wound * half_s - twist_rate)
+                        driver, driver_rate = (
+                            motor_angle_rad - twist,
+                            motor_velocity_rad_s - twist_rate,
+                        )
+                        shaft_nm = shaft * (twist + shaft_s * twist_rate)
                     if two_masses:
                         load_angle_rad, load_velocity_rad_s = load, load_rate
                         if step_s > 0.0:
-                            x, v = theta - load, omega - load_rate
-                            load_angle_rad, load_velocity_rad_s = meet(
+                            x, v = hub - load, hub_rate - load_rate
+                            ahead, closing = meet(
                                 x, v, apart, per_mass, 1.0 / compliance, damping_s, gap, half_s
                             )
-                            if mode != MOTION:
+                            if mode != MOTION and not coupled:
                                 share = per_motor / per_mass
-                                moment = x + (v + 0.5 * apart * half_s) * half_s - load_angle_rad
-                                motor_angle_rad -= share * moment
-                                integral_rad += share * moment
-                                impulse = v + apart * half_s - load_velocity_rad_s
-                                motor_velocity_rad_s -= share * impulse
-                            load_angle_rad = motor_angle_rad - load_angle_rad
-                            load_velocity_rad_s = motor_velocity_rad_s - load_velocity_rad_s
+                                moment = share * (x + (v + 0.5 * apart * half_s) * half_s - ahead)
+                                motor_angle_rad -= moment
+                                integral_rad += moment
+                                motor_velocity_rad_s -= share * (v + apart * half_s - closing)
+                                driver, driver_rate = motor_angle_rad, motor_velocity_rad_s
+                            load_angle_rad, load_velocity_rad_s = (
+                                driver - ahead,
+                                driver_rate - closing,
+                            )
                     else:
-                        lowest, highest = motor_angle_rad - 0.5 * gap, motor_angle_rad + 0.5 * gap
-                        load_angle_rad = min(max(load, lowest), highest)
+                        lowest, highest = driver - 0.5 * gap, driver + 0.5 * gap
+                        load_angle_rad = lesser(greater(load, lowest), highest)
                         # pushed at the step's end, if not yet: its torque counts by its share
-                        ahead = 2.0 * motor_angle_rad - theta - load
-                        pushed = (motor_velocity_rad_s > 0.0 and ahead >= 0.5 * gap) or (
-                            motor_velocity_rad_s < 0.0 and ahead <= -0.5 * gap
+                        ahead = 2.0 * driver - hub - load
+                        pushed = (driver_rate > 0.0 and ahead >= 0.5 * gap) or (
+                            driver_rate < 0.0 and ahead <= -0.5 * gap
                         )
-                        load_velocity_rad_s = motor_velocity_rad_s if pushed else 0.0
+                        load_velocity_rad_s = driver_rate if pushed else 0.0
                     ideal_current = loop_p * (r - motor_velocity_rad_s) + loop_i * integral_rad
                     backlash_gap_rad = nominal_gap_rad
                     # port backlash_gap_rad
@@ -204,6 +252,7 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
                         current_demand_a = 0.0
                     current_command_a = current_demand_a
                     # port current_command_a
+                    cut_a = current_demand_a - current_command_a
                     integral_rate_rad_s = velocity_error_rad_s
                     # port integral_rate_rad_s
                     current_a = current_command_a
@@ -224,37 +273,58 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
                     if mode == MOTION:
                         acceleration = given[k, 2] + given[k, 3] * (elapsed + half_s)
                     else:
-                        acceleration = (
-                            torque * per_motor
+                        jerk = -driven
+                        driven = (
+                            electric_torque_nm * per_motor
                             - torque_constant_nm_per_a * ideal_current * nominal_per_motor
                         )
-                    pull, late = acceleration, 0.0
+                        jerk = (jerk + driven) * per_since
+                        acceleration = driven + motor_torque_nm * per_motor
+                    pull, late, late_rad = acceleration, 0.0, 0.0
+                    spun_nm, late_spun = 0.0, 0.0
+                    free = acceleration if mode == MOTION else torque * per_motor
                     if two_masses:
-                        apart = acceleration if mode == MOTION else torque * per_motor
+                        apart = shaft_nm * per_hub if coupled else free
                         apart -= load_torque_nm * per_load
                         if step_s > 0.0:
-                            x, v = theta - load, omega - load_rate
-                            x_end, v_end = meet(
+                            x, v = hub - load, hub_rate - load_rate
+                            ahead, closing = meet(
                                 x, v, apart, per_mass, 1.0 / compliance, damping_s, gap, step_s
                             )
-                            impulse = (v + apart * step_s - v_end) / per_mass
-                            moment = (x + (v + apart * half_s) * step_s - x_end) / per_mass
+                            impulse = (v + apart * step_s - closing) / per_mass
                             contact_torque_nm = impulse / step_s
-                            late = moment - impulse * half_s
-                            if mode != MOTION:
+                            late = (x + (v + apart * half_s) * step_s - ahead) / per_mass
+                            late -= impulse * half_s
+                            if mode != MOTION and not coupled:
                                 pull = acceleration - contact_torque_nm * per_motor
+                                late_rad = late * per_motor
                     else:
                         contact_torque_nm = 0.0
                         if load_torque_nm != 0.0:
-                            ahead = theta - load
                             share = share_pushed(
-                                ahead, omega, motor_velocity_rad_s, step_s, load_torque_nm, gap
+                                hub - load, hub_rate, driver_rate, step_s, load_torque_nm, gap
                             )
                             contact_torque_nm = -share * load_torque_nm
-                            if mode != MOTION:
+                            if mode != MOTION and not coupled:
                                 acceleration -= contact_torque_nm * per_motor
                                 pull = acceleration
+                    if coupled:
+                        wound = free + contact_torque_nm * per_hub
+                        if step_s > 0.0:
+                            x, v = theta - hub, omega - hub_rate
+                            twist, twist_rate = twisted(
+                                x, v, wound, per_twist, shaft, shaft_s, step_s
+                            )
+                            impulse = (v + wound * step_s - twist_rate) / per_twist
+                            spun_nm = impulse / step_s
+                            late_spun = (x + (v + wound * half_s) * step_s - twist) / per_twist
+                            late_spun -= impulse * half_s
+                            if mode != MOTION:
+                                pull = acceleration - spun_nm * per_motor
+                                late_rad = late_spun * per_motor
+                    change = -rate
                     rate = integral_rate_rad_s - (r - motor_velocity_rad_s)
+                    change = (change + rate) * per_since
 
                     if step_s > 0.0:
                         theta_end = (
@@ -262,20 +332,28 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
                         )
                         omega_end = r + (e11 * error + e12 * z) + (s11 * pull + s12 * rate)
                         integral_rad = (e21 * error + e22 * z) + (s21 * pull + s22 * rate)
+                        late_rad += jerk * cube
+                        theta_end -= late_rad
+                        omega_end += per_a * (loop_p * late_rad - loop_i * change * cube)
+                        integral_rad += late_rad
+                        hub_end, hub_rate_end = theta_end, omega_end
+                        if coupled:
+                            pushed_by = (spun_nm - contact_torque_nm) * per_hub
+                            hub_end = hub + (hub_rate + pushed_by * half_s) * step_s
+                            hub_end += (late_spun - late) * per_hub
+                            hub_rate_end = hub_rate + pushed_by * step_s
                         if two_masses:
-                            if mode != MOTION:
-                                theta_end -= late * per_motor
-                                integral_rad += late * per_motor
                             pushed_by = (contact_torque_nm + load_torque_nm) * per_load
                             load += (load_rate + pushed_by * half_s) * step_s + late * per_load
                             load_rate += pushed_by * step_s
                         else:
-                            if omega * omega_end < 0.0:
-                                turned = theta + step_s * reach(
-                                    omega, motor_velocity_rad_s, omega_end
-                                )
-                                load = min(max(load, turned - 0.5 * gap), turned + 0.5 * gap)
-                            load = min(max(load, theta_end - 0.5 * gap), theta_end + 0.5 * gap)
+                            if hub_rate * hub_rate_end < 0.0:
+                                turned = hub + step_s * reach(hub_rate, driver_rate, hub_rate_end)
+                                lowest, highest = turned - 0.5 * gap, turned + 0.5 * gap
+                                load = lesser(greater(load, lowest), highest)
+                            lowest, highest = hub_end - 0.5 * gap, hub_end + 0.5 * gap
+                            load = lesser(greater(load, lowest), highest)
+                        hub, hub_rate = hub_end, hub_rate_end
                         # port integral_rad
                         z = integral_rad if powered else 0.0
                         theta, omega = theta_end, omega_end
@@ -287,6 +365,26 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
                         # port measured_current_a
                         measured_load_angle_rad = load_angle_rad
                         # port measured_load_angle_rad
+                    soon = False
+                    if two_masses:
+                        # a face is met within the next step
+                        closing = hub_rate - load_rate
+                        ahead = hub - load if closing > 0.0 else load - hub
+                        room = 0.5 * gap - ahead
+                        soon = gap > 0.0 and 0.0 < room < 1.5 * h * abs(closing)
+                    if cut_a != 0.0 and since_s > 0.0:
+                        # a limit lets go within the next two
+                        then_a = cut_a + 2.0 * h * per_since * (cut_a - cut_before_a)
+                        soon = soon or cut_a * then_a < 0.0
+                    cut_before_a = cut_a
+                    if soon and fine == 0:
+                        break
+                if part != 1:
+                    part += 1
+                elif fine == 0:
+                    whole -= done
+                else:
+                    fine -= done
             elapsed = until  # the very number the next command is due at, not one ulp before
             if elapsed >= slot_duration_s:
                 break
@@ -300,6 +398,6 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
 
     state[0], state[1], state[2], state[3], state[4] = theta, omega, z, load, load_rate
     state[5], state[6], state[7], state[8] = drive, clock, slot, contact_torque_nm
-    state[9] = waiting
+    state[9], state[10], state[11] = waiting, hub, hub_rate
     # pack
     return complete

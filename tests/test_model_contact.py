@@ -1,0 +1,59 @@
+"""The motion of a load between two faces: one step is its two halves, and faces never pull."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sim_rig.model.contact import meet
+
+MASSES_PER_KG_M2 = 1.0 / 5e-6 + 1.0 / 2.45e-4
+STIFFNESS_NM_PER_RAD, GAP_RAD = 500.0, 0.0262
+
+
+def played(x: float, v: float, a: float, damping_s: float, h: float) -> tuple[float, float]:
+    return meet(x, v, a, MASSES_PER_KG_M2, STIFFNESS_NM_PER_RAD, damping_s, GAP_RAD, h)
+
+
+def states(seed: int, count: int) -> list[tuple[float, float, float, float, float]]:
+    """(x, v, a, damping time, h) about a face: pressed in, let go, before it, far away."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for _ in range(count):
+        side = rng.choice([-1.0, 1.0])
+        pressed = rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-8.0, -4.0)
+        speed = rng.normal() * 10.0 ** rng.uniform(-4.0, 0.0)
+        found.append(
+            (
+                *(side * (0.5 * GAP_RAD + pressed), speed, 1e3 * rng.normal()),
+                *(10.0 ** rng.uniform(-6.0, -3.0), 10.0 ** rng.uniform(-6.0, -4.0)),
+            )
+        )
+    # let go so that Newton's step meets the zero of the force exactly
+    found.append((0.0131077719280508, -0.013480147995182231, -640.206, 5e-4, 1.25e-5))
+    return found
+
+
+def test_a_step_is_its_two_parts() -> None:
+    rng = np.random.default_rng(4)
+    for x, v, a, damping_s, h in states(3, 500):
+        part = rng.uniform(0.1, 0.9) * h
+        halfway = played(x, v, a, damping_s, part)
+        expected = played(*halfway, a, damping_s, h - part)
+        np.testing.assert_allclose(played(x, v, a, damping_s, h), expected, rtol=0, atol=2e-9)
+
+
+def test_faces_push_and_never_pull() -> None:
+    """What the face adds to the velocity points away from it."""
+    for x, v, a, damping_s, h in states(5, 500):
+        side = math.copysign(1.0, x)
+        _, end = played(x, v, a, damping_s, h)
+        assert side * (end - v - a * h) <= 1e-9
+
+
+@pytest.mark.parametrize("damping_s", [0.0, 1e-4])
+def test_impact_keeps_energy_without_damping_and_loses_it_with(damping_s: float) -> None:
+    speed = 2.0
+    _, end = played(0.0, speed, 0.0, damping_s, 0.01)
+    assert end < 0.0
+    assert (abs(end) == pytest.approx(speed, rel=1e-9)) == (damping_s == 0.0)

@@ -57,4 +57,10 @@ def test_a_torque_line_is_found_at_its_order(order: float) -> None:
 def test_the_advantage_of_nothing_over_itself_is_none() -> None:
     costs = np.random.default_rng(1).uniform(1.0, 2.0, 50)
     assert block_z(costs, costs) == 0.0
-    assert block_z(costs, costs + 1.0) > 10.0 or np.ptp(costs) == 0.0
+
+
+def test_an_advantage_that_every_block_has_is_beyond_chance() -> None:
+    costs = np.random.default_rng(1).uniform(1.0, 2.0, 50)
+    assert block_z(costs, costs + 1.0) > 10.0
+    assert block_z(np.ones(50), np.full(50, 2.0)) > 10.0
+    assert block_z(np.full(50, 2.0), np.ones(50)) < -10.0

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from servo_bench.diagnosis.extended import rig_text
 from servo_bench.errors import ConfigError
 from servo_bench.excitation.experiment import Experiment, Phase
 from servo_bench.recording.mcap_file import load
@@ -18,7 +19,7 @@ from tests.trial import main, run_trial
 from tests.trials import told
 from tests.trials.answering import Seal, SealError, ask
 from tests.trials.drawing import CAN_BE_REMOVED, Kind, Question
-from tests.trials.handing import Handed, hand_over, nominal_rig, rig_text
+from tests.trials.handing import Handed, hand_over, nominal_rig
 from tests.trials.names import right_names
 from tests.truth.hidden import record
 from tests.truth.rigs import drawn

@@ -4,8 +4,8 @@ Fixed before any campaign, by argument and not by what a detector happens to con
 
     torque_constant_error, inertia_error    the motion shows K_T/J only; a drive's torque is K_T i
     asymmetric_friction, load_torque        the same torque while the shaft turns
-    command_deadband, command_scale         at a single size of command
-    current_loop_lag, velocity_filter_lag, transport_delay, small     half a period of lag or less
+
+Others that a record cannot tell apart are found for that record, as near rivals (`judgement`).
 """
 
 from collections.abc import Iterable
@@ -13,7 +13,6 @@ from collections.abc import Iterable
 CLASSES: tuple[frozenset[str], ...] = (
     frozenset({"torque_constant_error", "inertia_error"}),
     frozenset({"asymmetric_friction", "load_torque"}),
-    frozenset({"torque_constant_droop", "thermal_torque_constant"}) - {"thermal_torque_constant"},
 )
 SPLITS: dict[frozenset[str], str] = {
     frozenset({"torque_constant_error", "inertia_error"}): (

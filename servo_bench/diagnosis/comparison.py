@@ -36,7 +36,8 @@ INCREMENT_S = 0.008
 GROUP_S = 0.25
 """Errors so far apart count as independent; within a window that started wrong, none do."""
 FEWEST_POINTS = 64
-EFFORTS = ("current_a", "motor_torque_nm", "torque_nm")
+EFFORTS = ("current_a", "motor_torque_nm", "motor_current_a", "torque_nm")
+CURRENTS = ("current_a", "motor_current_a")
 
 
 class Signal(NamedTuple):
@@ -214,7 +215,7 @@ def _window(block: Name, window_s: float | None) -> float | None:
 
 def _current(rows: Rows, model: Model) -> Array:
     name = next(name for name in EFFORTS if rows.has(name))
-    per_unit = 1.0 if name == "current_a" else 1.0 / model.nominal.torque_constant_nm_per_a
+    per_unit = 1.0 if name in CURRENTS else 1.0 / model.nominal.torque_constant_nm_per_a
     return rows.channel(name) * per_unit
 
 
@@ -237,7 +238,7 @@ def _signals(block: Name, rows: Rows, model: Model) -> Iterator[Signal]:
         for name in EFFORTS:
             if rows.has(name):
                 floor = floor_of(rows, name, increments=False)
-                if name == "current_a":
+                if name in CURRENTS:
                     yield Signal("current", "A", name, "current_a", False, floor)
                 else:
                     k_t = model.nominal.torque_constant_nm_per_a

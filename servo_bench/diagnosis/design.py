@@ -24,7 +24,7 @@ import numpy as np
 from servo_bench.diagnosis.candidates import Plan
 from servo_bench.diagnosis.classes import class_of
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
-from servo_bench.diagnosis.gate import allowed, material_sizes
+from servo_bench.diagnosis.gate import material_sizes
 from servo_bench.diagnosis.hypotheses import Hypothesis, Scales, Trial, hypotheses, scales_of
 from servo_bench.diagnosis.rows import Array
 from servo_bench.diagnosis.unknowns import Unknown, nuisances
@@ -184,7 +184,7 @@ def _templates(  # noqa: PLR0917 - where, what, and how large
     moved = [u.put(base, u.centre + 0.5 * (u.high - u.centre)) for u in band]
     models = [base, *moved, *(model for _, model in tried)]
     errors = evidence.seen(models)
-    sigma = allowed(evidence)
+    sigma = evidence.allowed
     here = errors[0].white(sigma)
     secants = np.stack([e.white(sigma) - here for e in errors[1 : 1 + len(moved)]], axis=1)
     steps = np.array([0.5 * (u.high - u.centre) / u.deviation for u in band])

@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_bench.diagnosis.allowance import allowed
 from servo_bench.diagnosis.comparison import Choice, Comparison, compare
 from servo_bench.diagnosis.rows import Array, Mask
 from servo_bench.excitation.experiment import Phase
@@ -25,8 +26,11 @@ from sim_rig.model import Model
 
 SCALES = (1, 6, 36, 216)
 KNEE = 2.0
+ASKED = 0.6
 BLOCK_GROUPS = 2
 """A block is so many groups of `comparison` (0.25 s each)."""
+BEYOND_DOUBT = 1e3
+"""Largest advantage over its scatter that is told: blocks that agree fully have no scatter."""
 COARSE = 4.0
 """How many times longer the simulation's steps are while candidates are tried."""
 
@@ -37,7 +41,6 @@ class Evidence:
 
     fitted: tuple[Comparison, ...]
     judging: tuple[Comparison, ...]
-    judging_whole: bool
     fitted_whole: bool = False
 
     def seen(self, models: Sequence[Model], *, coarse: bool = True) -> list["Errors"]:
@@ -47,8 +50,7 @@ class Evidence:
 
     def held_out(self, models: Sequence[Model], *, coarse: bool = True) -> list["Errors"]:
         """Errors at the points that no fit saw."""
-        masks = [c.seen | c.held_out if self.judging_whole else c.held_out for c in self.judging]
-        return self._errors(self.judging, masks, models, coarse)
+        return self._errors(self.judging, [c.held_out for c in self.judging], models, coarse)
 
     @staticmethod
     def _errors(
@@ -69,6 +71,20 @@ class Evidence:
         """The sensors' floors, shape (signals,): the largest over the fitted recordings."""
         floors = [[s.floor for s in c.signals] for c in self.fitted]
         return np.asarray(np.max(floors, axis=0), np.float64)
+
+    @cached_property
+    def allowed(self) -> Array:
+        """What a right simulation may miss, in the signals' units, shape (signals,)."""
+        return allowed(self.fitted[0])
+
+    def deviation(self, errors: "Errors") -> Array:
+        """What errors are weighed by, shape (signals,): their robust deviation, within bounds.
+
+        No less than the sensor's floor; and no more than `ASKED` of what a right simulation may
+        miss, or a signal that is all wrong would count no more than one that is a little.
+        """
+        most = np.maximum(self.floors, ASKED * self.allowed)
+        return np.asarray(np.clip(errors.robust(), self.floors, most))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -99,10 +115,6 @@ class Errors:
     def ran_away(self) -> bool:
         """Whether the model could not be simulated."""
         return bool(np.isinf(self.rows).any())
-
-    def deviation(self, floors: Array) -> Array:
-        """Robust deviation of every signal, no less than its floor; shape (signals,)."""
-        return np.maximum(floors, self.robust())
 
     def robust(self) -> Array:
         """1.4826 times the median size of every signal's error; shape (signals,)."""
@@ -144,11 +156,11 @@ def block_z(better: Array, worse: Array) -> float:
     """
     gained = worse - better
     gained = gained[(worse != 0.0) | (better != 0.0)]
-    if gained.size < 3:
+    if gained.size < 3 or not gained.any():
         return 0.0
     roots = np.sign(gained) * np.sqrt(np.abs(gained))
-    scatter = float(roots.std(ddof=1))
-    return float(roots.mean() / scatter * np.sqrt(roots.size)) if scatter > 0.0 else 0.0
+    mean, least = float(roots.mean()), float(np.abs(roots).max()) / BEYOND_DOUBT
+    return float(mean / max(float(roots.std(ddof=1)), least) * np.sqrt(roots.size))
 
 
 def _weights(comparison: Comparison) -> Array:
@@ -157,38 +169,26 @@ def _weights(comparison: Comparison) -> Array:
 
 
 def evidence_of(
-    recordings: Sequence[Recording],
-    model: Model,
-    *,
-    held_out: Recording | None = None,
-    block: Choice = "auto",
+    recordings: Sequence[Recording], model: Model, *, block: Choice = "auto"
 ) -> Evidence:
     """Weigh these recordings; FitError and ConfigError as `compare`."""
     fitted = tuple(compare(r, model, block, scales=SCALES) for r in recordings)
-    if held_out is None:
-        return Evidence(fitted, fitted, judging_whole=False)
-    judging = compare(held_out, model, fitted[0].block, scales=SCALES)
-    return Evidence(fitted, (judging,), judging_whole=True)
+    return Evidence(fitted, fitted)
 
 
 def quick_evidence(
-    recordings: Sequence[Recording],
-    model: Model,
-    rows: int,
-    *,
-    held_out: Recording | None = None,
-    block: Choice = "auto",
+    recordings: Sequence[Recording], model: Model, rows: int, *, block: Choice = "auto"
 ) -> Evidence:
     """Only the recordings' beginnings are fitted; judged by what is held out of them, to its end.
 
     A validation is played from the recording's start, because clocks and warmth count from there.
     """
-    judging = evidence_of(recordings, model, held_out=held_out, block=block)
     short = [beginning(r, rows) for r in recordings]
-    if held_out is None and any(_validation(r) is None for r in recordings):
+    if any(_validation(r) is None for r in recordings):
         return evidence_of(short, model, block=block)
-    fitted = tuple(compare(r, model, judging.fitted[0].block, scales=SCALES) for r in short)
-    return Evidence(fitted, judging.judging, judging.judging_whole, fitted_whole=True)
+    judging = evidence_of(recordings, model, block=block).fitted
+    fitted = tuple(compare(r, model, judging[0].block, scales=SCALES) for r in short)
+    return Evidence(fitted, judging, fitted_whole=True)
 
 
 def _validation(recording: Recording) -> int | None:

@@ -6,19 +6,22 @@
     whole       everything accepted, on all that was recorded, in fine steps; backward deletion
     judgement   named, none, or unknown; confidence, rivals, limits, gain on data no fit saw
 
+Causes are chosen on the recordings alone: fitted on the identification, judged on the validation.
+A held-out recording takes no part in it. Only where commands were lost are its own put right, by
+what the load did, because nobody can play a command that was not heard.
 Every stage is a function of values and can be called alone. Nothing here reads files or clocks but
 `time.perf_counter` for the time it took.
 """
 
 import time
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from servo_bench.diagnosis.comparison import Choice, compare
-from servo_bench.diagnosis.evidence import Evidence, block_z, evidence_of, quick_evidence
-from servo_bench.diagnosis.gate import is_material, material_sizes, misfit, passes
+from servo_bench.diagnosis.evidence import Evidence, evidence_of, quick_evidence
+from servo_bench.diagnosis.gate import material_sizes, misfit, passes
 from servo_bench.diagnosis.hygiene import (
     Lattice,
     LostCommands,
@@ -28,11 +31,26 @@ from servo_bench.diagnosis.hygiene import (
     wild_samples,
 )
 from servo_bench.diagnosis.hypotheses import Hypothesis, Scales, hypotheses, scales_of
+from servo_bench.diagnosis.joint import (
+    SLOW,
+    Named,
+    fit_jointly,
+    is_worth_it,
+    needed_vehicle,
+    own_unknowns,
+    play_slow_round,
+    worth_a_name,
+)
 from servo_bench.diagnosis.orders import USUAL, OrderLine, Tone, load_lines, motor_lines, tone
-from servo_bench.diagnosis.rounds import Contender, Round, merged, play_round
+from servo_bench.diagnosis.rounds import (
+    LEAST_GAIN,
+    Round,
+    Told,
+    play_round,
+)
 from servo_bench.diagnosis.rows import Array
 from servo_bench.diagnosis.seeking import Found, seek
-from servo_bench.diagnosis.unknowns import Unknown, nuisances
+from servo_bench.diagnosis.unknowns import nuisances
 from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
@@ -43,18 +61,8 @@ MOST_ROUNDS = 5
 MOST_CAUSES = 3
 RIGHT_ALREADY = 0.7
 """Misfit below which a simulation with a cause named already needs good reasons for another."""
-NEEDED_Z, NEEDED_SHARE = 4.0, 0.01
-Told = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class Named:
-    """An accepted cause and the round that found it."""
-
-    effect: str
-    round: Round
-    contender: Contender
-    unknowns: tuple[Unknown, ...]
+FURTHER_PROMISE = 0.008
+"""Screened gain below which a further cause is then not even fitted."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +90,6 @@ class Finding:
     misfit_after: Array
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
-    deletions: dict[str, float] = field(default_factory=dict)
 
 
 def nothing_told(_: str) -> None:
@@ -104,16 +111,15 @@ def find_causes(
     report("data hygiene")
     recordings = tuple(recordings)
     _need_command(recordings)
-    quick = quick_evidence(recordings, model, QUICK_ROWS, held_out=held_out, block=block)
+    quick = quick_evidence(recordings, model, QUICK_ROWS, block=block)
     scales = _scales(quick, model)
     band = nuisances(scales.torque_nm, scales.speed_rad_s, scales.gap_rad)
     report("base fit")
     base = seek(quick, model, band, iterations=4)
-    every = [*recordings, *([held_out] if held_out is not None else [])]
-    lost, told_recordings = _lost(every, base, block, without), (recordings, held_out)
+    lost, told_recordings = _lost(recordings, base, block, without), (recordings, held_out)
     if lost.rows:
         recordings, held_out, lost = _put_right(recordings, held_out, base.model, block)
-        quick = quick_evidence(recordings, model, QUICK_ROWS, held_out=held_out, block=block)
+        quick = quick_evidence(recordings, model, QUICK_ROWS, block=block)
         base = seek(quick, model, band, iterations=4)
     grid = None if "quantisation" in without else lattice(quick.fitted[0], base.model)
     report("position spectrum")
@@ -129,13 +135,19 @@ def find_causes(
     )
     now, named, absorbed, rounds = _rounds(quick, base, candidates, scales, report)
     report("joint fit on everything")
-    whole = evidence_of(recordings, model, held_out=held_out, block=block)
-    if lost.rows and _heard_after_all(whole, told_recordings, now, block):
+    whole = evidence_of(recordings, model, block=block)
+    if lost.rows and _heard_after_all(whole, told_recordings[0], now, block):
         recordings, held_out, lost = *told_recordings, LostCommands((), lost.changes)
-        whole = evidence_of(recordings, model, held_out=held_out, block=block)
-    final, named, deletions = _jointly(whole, now, named, band, report)
-    small = _small(final, named, scales)
-    absorbed, named = [*absorbed, *small], [n for n in named if n.effect not in small]
+        whole = evidence_of(recordings, model, block=block)
+    final, named = fit_jointly(whole, now, named, band, report)
+    slow = [h for h in candidates if h.effect in SLOW - {n.effect for n in named}]
+    late = play_slow_round(whole, final, slow, scales, report) if len(named) < MOST_CAUSES else None
+    if late is not None:
+        rounds.append(late.round)
+        final, named = fit_jointly(whole, late.contender.found, [*named, late], band, report)
+    named += needed_vehicle(whole, final, named, band, report)
+    absorbed += [n.effect for n in named if not is_worth_it(n, final, scales)]
+    named = [n for one in named for n in worth_a_name(one, final, scales)]
     plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
     return Finding(
         recordings=recordings,
@@ -157,7 +169,6 @@ def find_causes(
         rounds=tuple(rounds),
         misfit_before=misfit(whole, plain.errors),
         misfit_after=misfit(whole, final.errors),
-        deletions=deletions,
         seconds=time.perf_counter() - began,
     )
 
@@ -197,11 +208,11 @@ def _turns(quick: Evidence) -> float:
 
 
 def _lost(
-    every: Sequence[Recording], base: Found, block: Choice, without: Collection[str]
+    recordings: Sequence[Recording], base: Found, block: Choice, without: Collection[str]
 ) -> LostCommands:
     """What was lost in all recordings; rows are counted through them."""
     rows, changes, offset = list[int](), 0, 0
-    for recording in every if "missed_samples" not in without else ():
+    for recording in recordings if "missed_samples" not in without else ():
         found = lost_commands(compare(recording, base.model, block), base.model)
         rows += [offset + row for row in found.rows]
         changes, offset = changes + found.changes, offset + len(recording)
@@ -232,12 +243,12 @@ def _in_round(number: int, report: Told) -> Told:
 
 def _heard_after_all(
     whole: Evidence,
-    told: tuple[tuple[Recording, ...], Recording | None],
+    told: Sequence[Recording],
     now: Found,
     block: Choice,
 ) -> bool:
     """Whether, with the causes known, the commands as sent explain the recording better."""
-    sent = evidence_of(told[0], now.model, held_out=told[1], block=block)
+    sent = evidence_of(told, now.model, block=block)
     as_sent, as_heard = sent.seen([now.model])[0], whole.seen([now.model])[0]
     return as_sent.cost(now.sigma) <= as_heard.cost(now.sigma)
 
@@ -254,60 +265,19 @@ def _rounds(
     for number in range(MOST_ROUNDS):
         if not open_ or len(named) == MOST_CAUSES:
             break
-        played = play_round(quick, now, open_, sizes, _in_round(number + 1, report))
-        rounds.append(played)
         right = bool(named) and float(misfit(quick, now.errors).max()) < RIGHT_ALREADY
-        accepted = next((c for c in played.contenders if passes(c, right=right)), None)
+        least = FURTHER_PROMISE if right else LEAST_GAIN
+        told = _in_round(number + 1, report)
+        played = play_round(quick, now, open_, sizes, told, least=least)
+        rounds.append(played)
+        able = (c for c in played.contenders if passes(c, named=len(named), right=right))
+        accepted = next(able, None)
         if accepted is None:
             break
-        if is_material(accepted.found.model, accepted.effect, scales, accepted.held_gain):
-            mine = tuple(u for u in accepted.found.unknowns if u.effect == accepted.effect)
-            named.append(Named(accepted.effect, played, accepted, mine))
-        else:
-            absorbed.append(accepted.effect)
+        one = Named(accepted.effect, played, accepted, own_unknowns(accepted, accepted.effect))
+        worth = worth_a_name(one, accepted.found, scales)
+        named += worth
+        absorbed += [] if one in worth else [one.effect]
         now = accepted.found
         open_ = [h for h in open_ if h.effect != accepted.effect]
     return now, named, absorbed, rounds
-
-
-def _jointly(
-    whole: Evidence, now: Found, named: list[Named], band: Sequence[Unknown], report: Told
-) -> tuple[Found, list[Named], dict[str, float]]:
-    """Everything accepted on all that was recorded; what is not needed is taken out again."""
-    final = seek(whole, now.model, now.unknowns, iterations=2, first=3, coarse=False)
-    losses: dict[str, float] = {}
-    for one in list(named):
-        if len(named) < 2:
-            break
-        report(f"without {one.effect}")
-        less = without_effect(whole, final, one.effect, band)
-        z = block_z(final.errors.costs(final.sigma), less.errors.costs(final.sigma))
-        share = 1.0 - final.errors.cost(final.sigma) / less.errors.cost(final.sigma)
-        losses[one.effect] = z
-        if z < NEEDED_Z or share < NEEDED_SHARE:
-            named.remove(one)
-            final = less
-    return final, named, losses
-
-
-def _small(final: Found, named: Sequence[Named], scales: Scales) -> tuple[str, ...]:
-    """Causes that shrank, in the joint fit, to what every rig has."""
-    return tuple(
-        n.effect
-        for n in named
-        if not is_material(final.model, n.effect, scales, n.contender.held_gain)
-    )
-
-
-def without_effect(
-    whole: Evidence, final: Found, effect: str, band: Sequence[Unknown], iterations: int = 2
-) -> Found:
-    """The final search again without one effect, or with it back in its band."""
-    back = tuple(u for u in band if u.effect == effect)
-    kept = tuple(u for u in final.unknowns if u.effect != effect)
-    model = final.model.without(effect)
-    for unknown in back:
-        model = unknown.put(
-            model, float(np.clip(unknown.of(final.model), unknown.low, unknown.high))
-        )
-    return seek(whole, model, merged(kept, back), final.sigma, iterations=iterations, first=1)

@@ -6,7 +6,7 @@ the largest command and dV the rms of its jumps; W the gap; J the inertia. An ef
 here is tried at three sizes of its own prior range, so that a new file needs nothing else.
 
 Friction, weight and torque on the load need a load: they are tried on the rigid one and on one with
-a mass of its own (contact), which is then the vehicle and not the cause.
+a mass of its own (contact), which is then the vehicle, and a cause only where it is needed.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,7 +29,8 @@ SHARP = frozenset(
         *("position_friction", "thermal_friction"),
     }
 )
-"""Friction whose smoothed sign change is tried sharper than its file has it."""
+"""Friction whose smoothed sign change is tried sharper than its file has it, and as sharp as that
+of the Coulomb friction that was found."""
 LOAD_SHARE = 0.04
 """Of the inertia, behind the gap of a vehicle."""
 DETECTED = frozenset({"missed_samples", "quantisation"})
@@ -93,13 +94,31 @@ class Trial:
                 model = model.with_effect(name, **table)
         params = model.effects.get(self.effect, find_effect(self.effect).params())
         kept = {k: float(v) for k, v in params._asdict().items()}
-        return model.with_effect(self.effect, **{**kept, **self.settings})
+        settings = {**kept, **self.settings}
+        if self.effect in SHARP and "coulomb" in model.effects:
+            known = float(model.effects["coulomb"].transition_rad_s)
+            settings["transition_rad_s"] = min(settings["transition_rad_s"], known)
+        if self.effect == "thermal_friction":
+            model = _warm(model, settings["cold_torque_nm"])
+        return model.with_effect(self.effect, **settings)
 
     def times(self, share: float) -> "Trial":
         """So many times as strong."""
         strength = next(iter(self.settings))
         value = self.settings[strength] * share
         return Trial(self.effect, {**self.settings, strength: value}, abs(value), self.beside)
+
+
+def _warm(model: Model, cold_torque_nm: float) -> Model:
+    """Of the Coulomb friction that was found, so much is the cold's: the rest is tried beside it.
+
+    Added to what was found it would only show that there is enough of it.
+    """
+    coulomb = model.effects.get("coulomb")
+    if coulomb is None or coulomb.torque_nm < cold_torque_nm:
+        return model
+    table = {**coulomb._asdict(), "torque_nm": float(coulomb.torque_nm) - cold_torque_nm}
+    return model.with_effect("coulomb", **table)
 
 
 @dataclass(frozen=True)
@@ -252,13 +271,15 @@ def _choices(
         yield from (({"stribeck_rad_s": v, "transition_rad_s": 0.1}, {}) for v in (0.15, 0.5, 2.0))
     elif name == "pre_sliding":
         yield from (({"breakaway_angle_rad": a}, {}) for a in (3e-5, 3e-4, 1e-3))
+    elif name == "command_deadband":
+        yield from (({"offset_fraction": kind}, {}) for kind in (0.0, 1.0))
     elif name == "anti_windup":
-        yield {}, {"current_limit": {"limit_per_a": 1.0 / s.currents_a[1]}}
+        yield from (({}, {"current_limit": {"limit_per_a": 1.0 / a}}) for a in s.currents_a)
     elif name == "inverter_dead_time":
         yield from (({"pole_pair_count": p}, {}) for p in (2.0, 4.0, 5.0))
     elif name == "contact":
         yield from (
-            ({"load_inertia_kg_m2": share * s.inertia_kg_m2}, {}) for share in (0.004, 0.05)
+            ({"load_inertia_kg_m2": share * s.inertia_kg_m2}, {}) for share in (0.004, 0.015, 0.05)
         )
     elif name == "coupling_compliance":
         yield from (({"load_inertia_kg_m2": share * s.inertia_kg_m2}, {}) for share in (0.1, 0.3))

@@ -34,6 +34,8 @@ LOAD_STANDS_OUT = 90.0
 """Of a load line: bounces in the gap make lines by chance up to 70 among the 4184 orders."""
 TONE = 60.0
 """Power of a line in time over its surroundings: exp(-60) by chance, and models are not perfect."""
+AUDIBLE = 0.3
+"""Amplitude of such a line, in sensor floors, below which it is nothing to speak of."""
 
 
 class OrderLine(NamedTuple):
@@ -249,6 +251,8 @@ def tone(comparison: Comparison, model: Model) -> Tone | None:
     if height[best] < TONE:
         return None
     amplitude = 2.0 * float(np.sqrt(power[best])) / float(window.sum())
+    if amplitude < AUDIBLE * comparison.signals[levels[0]].floor:
+        return None
     frequency = best / (quick.size * comparison.source.rows.period_s)
     return Tone(frequency, amplitude, float(height[best]))
 

@@ -33,7 +33,6 @@ LEAST_LINE = 0.03
 STILL_ROWS = 16
 """A command that was zero for so long: the rig stands."""
 MOST_LINES = 3
-SPEEDS = ("motor_velocity_rad_s", "motor_position_rad", "load_angle_rad")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -272,6 +271,7 @@ def _words(
     else:
         text += f"; {100 * share:.0f} % of it {WORDS[locked]}"
     if locked == "position" and lines:
-        text += f", at {lines[0].order:.4g} periods a revolution of the {lines[0].shaft}"
+        times = "once" if lines[0].order == 1.0 else f"{lines[0].order:.4g} times"
+        text += f", {times} a revolution of the {lines[0].shaft}"
     where = {"transmission": "behind the motor", "controller or mechanics": "before the gap"}
     return text + (f"; it sits {where[block]}." if block else ".")

@@ -18,7 +18,7 @@ from servo_bench.diagnosis.evidence import Errors, Evidence, block_z
 from servo_bench.diagnosis.hypotheses import Hypothesis
 from servo_bench.diagnosis.rows import Array
 from servo_bench.diagnosis.screening import Screened, screen
-from servo_bench.diagnosis.seeking import Found, seek
+from servo_bench.diagnosis.seeking import Found, seek, settle
 from servo_bench.diagnosis.unknowns import Unknown
 from servo_bench.errors import FitError
 from sim_rig.effects import find_effect
@@ -34,7 +34,6 @@ STARTS = (1.0, 0.5, 0.25, 2.0)
 ALIKE, AS_GOOD = 0.95, 0.04
 """Contenders that change the same, and of which none gains so much more, are told apart by how
 much they assume: the one with fewer free numbers and the shorter law is taken."""
-MOST_CAUSES = 3
 Told = Callable[[str], None]
 REFINES = {"pre_sliding": "coulomb", "thermal_friction": "coulomb", "stribeck": "coulomb"}
 """Friction of its own kind that Coulomb friction does nearly as well."""
@@ -96,16 +95,18 @@ def play_round(
     hypotheses: Sequence[Hypothesis],
     sizes: Mapping[str, float],
     told: Told,
+    *,
+    least: float = LEAST_GAIN,
 ) -> Round:
     """Screen and fit. Contenders may be empty: then nothing promised anything.
 
     `sizes` are those below which an effect is worth no name: what promises little, and is so small,
-    is not fitted.
+    is not fitted; nor is what promises less than `least` of the cost.
     """
     told("screening")
     screened = screen(quick, base, hypotheses)
     able = [s for s in screened if s.gain > WORTH_ANYHOW or s.trial.size > _most(s, sizes)]
-    worth = [s for s in able if s.gain > max(LEAST_GAIN, WORTH * able[0].gain)][:FITTED]
+    worth = [s for s in able if s.gain > max(least, WORTH * able[0].gain)][:FITTED]
     worth += [s for s in able if s.hypothesis.effect in _plain(worth)]
     first: list[tuple[Screened, Found]] = []
     for one in worth:
@@ -119,15 +120,13 @@ def play_round(
         costs = _all_costs(base.errors, judged, base.sigma)
         return Round(base, judged, costs, base.sigma, (), screened)
     best = min(first, key=lambda pair: pair[1].cost)[1]
-    sigma = best.errors.deviation(quick.floors)
+    sigma = quick.deviation(best.errors)
     told("comparing")
     ranked = sorted(first, key=lambda pair: pair[1].cost)
     near = ranked[:3]
     plain = _plain([one for one, _ in near])
     near += [pair for pair in ranked[3:] if pair[0].hypothesis.effect in plain]
-    again = [
-        (one, seek(quick, f.model, f.unknowns, sigma, iterations=3, first=1)) for one, f in near
-    ]
+    again = [(one, _again(quick, one, f, sigma)) for one, f in near]
     rested = seek(quick, base.model, base.unknowns, sigma, iterations=2, first=2)
     held = quick.held_out([rested.model, *(f.model for _, f in again)])
     base_costs = _all_costs(rested.errors, held[0], sigma)
@@ -191,6 +190,17 @@ def _fitted(quick: Evidence, base: Found, one: Screened) -> Found:
     costs = [errors.cost(base.sigma) for errors in quick.seen(models)]
     model = models[int(np.argmin(costs))]
     return seek(quick, model, unknowns, base.sigma, iterations=2)
+
+
+def _again(quick: Evidence, one: Screened, found: Found, sigma: Array) -> Found:
+    """The same search, weighed by what the best one leaves."""
+    again = seek(quick, found.model, found.unknowns, sigma, iterations=3, first=1)
+    return settle(quick, again, _own(one), turns=1)
+
+
+def _own(one: Screened) -> set[str]:
+    """The effect and what carries it."""
+    return {one.hypothesis.effect, *one.trial.beside}
 
 
 def merged(old: Sequence[Unknown], new: Sequence[Unknown]) -> tuple[Unknown, ...]:

@@ -6,7 +6,7 @@ Impacts ripple z at small scale; differences begin one step wide and shrink. Can
 search differ from their base by a few numbers, so a handful of batches of simulations is enough.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,12 @@ TRIED = (1.0, 0.4, 0.1)
 """Shares of a Gauss-Newton step that are tried at once."""
 SETTLED = 1e-3
 """An iteration that lowers the cost by a smaller share is the last but one."""
+ROAMING, NARROWER = 12, 0.35
+"""Points of a batch that is scattered about a search's end, and how much narrower the next is."""
+OWN_SHARE, OWN_ANGLE_RAD = 0.4, 0.5
+"""Deviation of the first batch: of a number's own size, and of a phase."""
+WORTHWHILE = 0.003
+"""A search that scattering helps less is at its end."""
 
 
 class Found(NamedTuple):
@@ -71,7 +77,7 @@ def seek(
     free = place.unknowns
     values = np.array([np.clip(u.of(model), u.low, u.high) for u in free])
     errors = place.errors([values])[0]
-    weigh = errors.deviation(evidence.floors) if sigma is None else sigma
+    weigh = evidence.deviation(errors) if sigma is None else sigma
     cost = errors.cost(weigh) + surprise(free, values)
     jacobian = np.zeros((errors.rows.size, len(free)))
     quiet = 0
@@ -90,6 +96,70 @@ def seek(
             break
     found = put_all(model, free, list(values))
     return Found(found, free, values, errors, weigh, jacobian, cost, quiet > 0 or not free)
+
+
+def settle(
+    evidence: Evidence,
+    found: Found,
+    own: Collection[str],
+    *,
+    turns: int = 2,
+    coarse: bool = True,
+) -> Found:
+    """Go on from where a search ended until neither secants nor scattering help.
+
+    Impacts make valleys of their own: a search by secants may end in one whose floor lies far above
+    that of the next. Points scattered about the numbers of the effects in `own` find the way out.
+    """
+    for turn in range(turns):
+        moved = roam(evidence, found, own, coarse=coarse, seed=turn)
+        again = seek(
+            evidence, moved.model, found.unknowns, found.sigma, iterations=2, first=2, coarse=coarse
+        )
+        if again.cost > found.cost:
+            break
+        gained, found = found.cost - again.cost, again
+        if gained < WORTHWHILE * found.cost:
+            break
+    return found
+
+
+def roam(
+    evidence: Evidence,
+    found: Found,
+    own: Collection[str],
+    *,
+    coarse: bool = True,
+    seed: int = 0,
+    batches: int = 4,
+) -> Found:
+    """The best of some points scattered about a search's end; its secants stay as they were."""
+    place = _Place(evidence, found.model, found.unknowns, coarse)
+    free = place.unknowns
+    mine = np.array([u.effect in own for u in free], dtype=bool)
+    if not mine.any():
+        return found
+    rng = np.random.default_rng((seed, len(free)))
+    values, errors, cost = found.values, found.errors, found.cost
+    spread = 1.0
+    for _ in range(batches):
+        deviation = np.where(mine, spread * _own_deviation(free, values), 0.0)
+        scattered = values + deviation * rng.standard_normal((ROAMING, values.size))
+        ends = [_turned(free, np.clip(end, _low(free), _high(free))) for end in scattered]
+        tried = place.errors(ends)
+        costs = [e.cost(found.sigma) + surprise(free, x) for e, x in zip(tried, ends, strict=True)]
+        best = int(np.argmin(costs))
+        if costs[best] < cost:
+            values, errors, cost = ends[best], tried[best], costs[best]
+        else:
+            spread *= NARROWER
+    model = put_all(found.model, free, list(values))
+    return found._replace(model=model, values=values, errors=errors, cost=cost)
+
+
+def _own_deviation(unknowns: Sequence[Unknown], values: Array) -> Array:
+    sizes = np.maximum(OWN_SHARE * np.abs(values), [0.05 * u.step for u in unknowns])
+    return np.where([u.circular for u in unknowns], OWN_ANGLE_RAD, sizes)
 
 
 def _low(unknowns: Sequence[Unknown]) -> Array:

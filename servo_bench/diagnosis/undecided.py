@@ -14,7 +14,7 @@ from servo_bench.recording.recording import Recording
 from sim_rig.effects import catalogue
 
 ANGLES = ("motor_position_rad", "load_angle_rad")
-EFFORTS = ("current_a", "motor_torque_nm", "torque_nm")
+EFFORTS = ("current_a", "motor_torque_nm", "motor_current_a", "torque_nm")
 COMMAND = "velocity_command_rad_s"
 ENOUGH_S = 10.0
 """Below this, identification and validation together are short for any effect."""

@@ -159,7 +159,8 @@ def draw_signature(figure: Figure, track: Track) -> None:
     mean = [float(track.error[p].mean()) for p in place]
     time.plot(at, level, color=BAND, label="rms")
     time.plot(at, mean, color=ORDER_3, linewidth=0.9, label="mean")
-    time.legend(loc="upper right", fontsize=6.5)
+    time.set_ylim(top=1.25 * time.get_ylim()[1])  # room for the legend above the error
+    time.legend(loc="upper right", fontsize=6.5, ncols=2)
     caption_axes(time, "in time", "time (s)", f"error ({unit})")
 
 

@@ -124,7 +124,9 @@ def _before_after(found: Judged) -> Plate:
 
 def _evidence(finding: Finding) -> Iterator[Plate]:
     """For every named cause its round; else the first round, with nothing chosen."""
-    chosen: list[tuple[Round, Contender | None]] = [(n.round, n.contender) for n in finding.named]
+    chosen: list[tuple[Round, Contender | None]] = [
+        (n.round, n.contender) for n in finding.named if n.missed_z is None
+    ]
     if not chosen and finding.rounds:
         chosen = [(finding.rounds[0], None)]
     for number, (played, contender) in enumerate(chosen, 1):
@@ -151,8 +153,8 @@ def _evidence_words(verdict: Verdict) -> Iterator[str]:
     for cause in verdict.causes:
         if cause.evidence is None:
             continue
-        text = f"{_name(cause.effect)} gains over the base by {cause.evidence:.1f} standard "
-        text += "deviations of the blocks' scatter"
+        text = f"{_name(cause.effect)} gains over a simulation without it by {cause.evidence:.1f} "
+        text += "standard deviations of the blocks' scatter"
         if cause.rival is not None and cause.over_rival is not None:
             text += f", and over its best rival, {_name(cause.rival)}, by {cause.over_rival:.1f}"
         yield text + "."

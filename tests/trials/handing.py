@@ -6,14 +6,13 @@ Recorded straight from the truth plant, or by the bench over a real wire from a 
 the truth (`wired.py`).
 """
 
-import json
-from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_bench.diagnosis.extended import rig_text
 from servo_bench.excitation.experiment import Experiment
 from servo_bench.recording.mcap_file import RecordingWriter, load
 from servo_bench.recording.recording import MISSING, SAMPLE_DTYPE, Recording
@@ -73,23 +72,6 @@ def nominal_rig(nominal: NominalValues) -> RigConfig:
         "simulated": None,
     }
     return load_rig("rigs/paper.toml").model_copy(update=changes)
-
-
-def rig_text(rig: RigConfig) -> str:
-    """The TOML from which `load_rig` makes the same rig."""
-    table = rig.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
-    return "\n".join(_toml("", table)) + "\n"
-
-
-def _toml(name: str, table: Mapping[str, Any]) -> Iterator[str]:
-    if name:
-        yield f"[{name}]"
-    for key, value in table.items():
-        if not isinstance(value, dict):
-            yield f"{key} = {json.dumps(value)}"
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _toml(f"{name}.{key}" if name else key, value)
 
 
 def _write(

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Kind = Literal["mechanics", "locked"]
 Motion = Literal["motor_position_rad", "motor_velocity_rad_s"]
 
-EFFORTS = ("motor_torque_nm", "torque_nm", "current_a", "voltage_v")
+EFFORTS = ("motor_torque_nm", "torque_nm", "current_a", "motor_current_a", "voltage_v")
 """What drives the motion, what says most of it first."""
 FINE = 2
 HOLE_PERIODS = 12.0

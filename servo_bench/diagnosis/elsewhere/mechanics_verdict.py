@@ -12,7 +12,7 @@ from servo_bench.diagnosis.elsewhere.selection import Step
 from servo_bench.diagnosis.free import unit_of
 from servo_bench.diagnosis.verdict import Cause, ErrorFigures, Quantity, Verdict
 
-UNITS = {"current_a": "A", "voltage_v": "V"}
+UNITS = {"current_a": "A", "motor_current_a": "A", "voltage_v": "V"}
 
 
 def mechanics_verdict(found: MechanicsFinding) -> Verdict:

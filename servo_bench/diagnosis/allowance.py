@@ -1,0 +1,47 @@
+"""What a simulation may miss and still be right: beyond it something is wrong, named or not.
+
+`ALLOWED` are shares of every signal's rms, about 1.5 times the worst but one of 40 nulls of an
+independent plant with its own friction, contact and digital loop (seeds 1300-1339 of tests/truth).
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from servo_bench.diagnosis.comparison import Comparison
+from servo_bench.diagnosis.rows import Array
+
+FLOORS = 2.5
+"""A signal within so many sensor floors is right, whatever its share."""
+ALLOWED: Mapping[str, Sequence[float]] = {
+    "twist": (0.10, 0.13, 0.20, 0.25),
+    "motor": (0.006, 0.0036, 0.0012, 0.0009),
+    "load": (0.04, 0.025, 0.007, 0.0025),
+    "twist angle": (0.08,),
+    "load angle": (1.0,),
+    "motor angle": (1.0,),
+    "effort": (0.017,),
+}
+"""Robust deviation over the signal's own rms, from the quickest scale to the slowest."""
+
+
+def allowed(comparison: Comparison) -> Array:
+    """For every signal, in its unit, shape (signals,)."""
+    found = []
+    steps: dict[str, int] = {}
+    for signal, row in zip(comparison.signals, comparison.measured, strict=True):
+        kind = _kind(signal.name, signal.increments)
+        step = steps.get(kind, 0)
+        steps[kind] = step + 1
+        shares = ALLOWED[kind]
+        share = shares[min(step, len(shares) - 1)]
+        known = row[np.isfinite(row) & comparison.seen]
+        rms = float(np.sqrt(np.mean(known**2))) if known.size else 0.0
+        found.append(np.hypot(FLOORS * signal.floor, share * rms))
+    return np.array(found)
+
+
+def _kind(name: str, increments: bool) -> str:
+    if not increments:
+        return name if name in ALLOWED else "effort"
+    return next((k for k in ("twist", "motor", "load") if name.startswith(k)), "load")

@@ -1,0 +1,143 @@
+"""All that was accepted, on all that was recorded: what is needed, what carries it, what is slow.
+
+joint fit   every open number at once, in fine steps, until nothing helps (`settle`)
+deletion    each cause is taken away once; one that the joint fit does not miss is dropped
+slow        effects that a beginning hardly shows compete once more, on everything
+vehicle     a load with a mass, on which a cause was tried, is a cause too where it is needed
+name        what is smaller than every rig has is absorbed, or gives its name to what carries it
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from servo_bench.diagnosis.evidence import Evidence, block_z
+from servo_bench.diagnosis.gate import is_material, material_sizes, passes
+from servo_bench.diagnosis.hypotheses import Hypothesis, Scales
+from servo_bench.diagnosis.rounds import Contender, Round, Told, merged, play_round
+from servo_bench.diagnosis.seeking import Found, seek, settle
+from servo_bench.diagnosis.unknowns import Unknown
+
+NEEDED_Z, NEEDED_SHARE = 4.0, 0.01
+SLOW = frozenset(
+    {
+        *("thermal_friction", "thermal_torque_constant", "clock_skew"),
+        *("encoder_eccentricity", "misalignment"),
+    }
+)
+"""What a recording's beginning hardly shows, because it warms slowly or turns but a few times:
+asked once more of all that was recorded."""
+VEHICLE = "contact"
+CARRIERS = {"anti_windup": "current_limit"}
+"""Effects that act beside another only, which is a cause by itself."""
+
+
+@dataclass(frozen=True)
+class Named:
+    """An accepted cause and the round that found it.
+
+    `missed_z`, for what had no round of its own but carried another: by how much, in block scatter,
+    the joint fit is better than one without it.
+    """
+
+    effect: str
+    round: Round
+    contender: Contender
+    unknowns: tuple[Unknown, ...]
+    missed_z: float | None = None
+
+
+def fit_jointly(
+    whole: Evidence, now: Found, named: list[Named], band: Sequence[Unknown], report: Told
+) -> tuple[Found, list[Named]]:
+    """Everything accepted on all that was recorded; what is not needed is taken out again."""
+    final = seek(whole, now.model, now.unknowns, iterations=2, first=3, coarse=False)
+    own = {u.effect for u in now.unknowns if u not in band}
+    final = settle(whole, final, own, turns=3, coarse=False)
+    kept = list(named)
+    for one in named:
+        if len(kept) < 2:
+            break
+        report(f"without {one.effect}")
+        less = without_effect(whole, final, one.effect, band)
+        if not _needed(final, less):
+            kept.remove(one)
+            final = less
+    return final, kept
+
+
+def play_slow_round(
+    whole: Evidence, final: Found, slow: Sequence[Hypothesis], scales: Scales, report: Told
+) -> Named | None:
+    """What takes longer than a recording's beginning, beside everything that was found."""
+    if not slow:
+        return None
+    base = seek(whole, final.model, final.unknowns, final.sigma, iterations=1, first=3)
+    sizes = material_sizes(scales)
+    played = play_round(whole, base, slow, sizes, lambda what: report(f"slow effects: {what}"))
+    for found in played.contenders:
+        named = Named(found.effect, played, found, own_unknowns(found, found.effect))
+        if passes(found) and is_worth_it(named, found.found, scales):
+            return named
+    return None
+
+
+def own_unknowns(contender: Contender, effect: str) -> tuple[Unknown, ...]:
+    """The open numbers of one effect."""
+    return tuple(u for u in contender.found.unknowns if u.effect == effect)
+
+
+def needed_vehicle(
+    whole: Evidence, final: Found, named: Sequence[Named], band: Sequence[Unknown], report: Told
+) -> list[Named]:
+    """What a cause was tried on, where it is there and the cause alone would not do."""
+    for one in named:
+        for effect in {u.effect for u in one.contender.found.unknowns} & {VEHICLE}:
+            if any(n.effect == effect for n in named):
+                continue
+            report(f"without {effect}")
+            less = without_effect(whole, final, effect, band)
+            if _needed(final, less):
+                mine = own_unknowns(one.contender, effect)
+                return [Named(effect, one.round, one.contender, mine, _advantage(final, less))]
+    return []
+
+
+def _needed(final: Found, less: Found) -> bool:
+    """Whether a joint fit misses what was taken out of it."""
+    share = 1.0 - final.errors.cost(final.sigma) / less.errors.cost(final.sigma)
+    return _advantage(final, less) > NEEDED_Z and share > NEEDED_SHARE
+
+
+def _advantage(final: Found, less: Found) -> float:
+    return block_z(final.errors.costs(final.sigma), less.errors.costs(final.sigma))
+
+
+def is_worth_it(one: Named, found: Found, scales: Scales) -> bool:
+    """Whether a cause is larger in this fit than what every rig has."""
+    return is_material(found.model, one.effect, scales, one.contender.held_gain)
+
+
+def worth_a_name(one: Named, found: Found, scales: Scales) -> tuple[Named, ...]:
+    """The cause, where it is more than what every rig has; else what it needs beside it."""
+    if is_worth_it(one, found, scales):
+        return (one,)
+    carrier = CARRIERS.get(one.effect)
+    if carrier is None:
+        return ()
+    return (replace(one, effect=carrier, unknowns=own_unknowns(one.contender, carrier)),)
+
+
+def without_effect(
+    whole: Evidence, final: Found, effect: str, band: Sequence[Unknown], iterations: int = 2
+) -> Found:
+    """The final search again without one effect, or with it back in its band."""
+    back = tuple(u for u in band if u.effect == effect)
+    kept = tuple(u for u in final.unknowns if u.effect != effect)
+    model = final.model.without(effect)
+    for unknown in back:
+        model = unknown.put(
+            model, float(np.clip(unknown.of(final.model), unknown.low, unknown.high))
+        )
+    return seek(whole, model, merged(kept, back), final.sigma, iterations=iterations, first=1)

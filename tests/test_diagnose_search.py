@@ -1,0 +1,111 @@
+"""Searching, weighing, and what a held-out recording may do: nothing but measure the gain."""
+
+import numpy as np
+import pytest
+
+from servo_bench.diagnosis.evidence import ASKED, Evidence, evidence_of
+from servo_bench.diagnosis.finding import find_causes
+from servo_bench.diagnosis.gate import material_sizes
+from servo_bench.diagnosis.hypotheses import Scales, Trial
+from servo_bench.diagnosis.judgement import quantities, standard_errors, verdict_of
+from servo_bench.diagnosis.seeking import Found, roam, seek, settle
+from servo_bench.diagnosis.unknowns import Unknown
+from sim_rig.model import Model
+from tests.fit_recordings import NOMINAL, recorded
+
+MODEL = Model(NOMINAL)
+COGGING_NM, ORDER = 0.03, 12.0
+SLOTS = 900
+
+
+def evidence(seed: int, model: Model) -> Evidence:
+    return evidence_of([recorded(model, seed, slots=SLOTS)], MODEL)
+
+
+@pytest.fixture(scope="module")
+def lost() -> tuple[Evidence, Found]:
+    """A search that was stopped far from the torque that is there, with its phase turned away."""
+    seen = evidence(21, MODEL.with_effect("cogging", torque_nm=COGGING_NM, order=ORDER))
+    start = MODEL.with_effect("cogging", torque_nm=2.0 * COGGING_NM, order=ORDER, phase_rad=0.9)
+    free = (
+        Unknown("cogging", "torque_nm", 0.0, 1.0, step=0.01),
+        Unknown("cogging", "phase_rad", -np.inf, np.inf, step=0.5, circular=True),
+    )
+    return seen, seek(seen, start, free, seen.allowed, iterations=0)
+
+
+def test_scattered_points_never_make_a_search_worse(lost: tuple[Evidence, Found]) -> None:
+    seen, found = lost
+    for seed in range(3):
+        moved = roam(seen, found, {"cogging"}, seed=seed)
+        assert moved.cost < found.cost
+        again = seen.seen([moved.model])[0].cost(found.sigma)
+        assert again == pytest.approx(moved.cost)
+
+
+def test_only_numbers_of_the_effects_in_question_are_scattered(
+    lost: tuple[Evidence, Found],
+) -> None:
+    seen, found = lost
+    assert roam(seen, found, {"coulomb"}).cost == found.cost
+
+
+def test_a_search_that_is_settled_is_at_the_truth(lost: tuple[Evidence, Found]) -> None:
+    seen, found = lost
+    settled = settle(seen, found, {"cogging"}, turns=4)
+    assert settled.value("cogging.torque_nm") == pytest.approx(COGGING_NM, rel=0.02)
+
+
+def test_a_signal_that_is_all_wrong_is_weighed_by_what_may_be_missed() -> None:
+    seen = evidence(22, MODEL)
+    small, large = seen.seen(
+        [MODEL, MODEL.with_effect("torque_constant_error", error_fraction=0.5)]
+    )
+    assert (seen.deviation(large) <= np.maximum(seen.floors, ASKED * seen.allowed)).all()
+    assert (seen.deviation(small) >= seen.floors).all()
+    assert large.cost(seen.deviation(large)) > 2.0 * large.points  # robust scatter would give one
+
+
+def test_friction_that_was_found_is_not_added_to_but_called_cold() -> None:
+    model = MODEL.with_effect("coulomb", torque_nm=0.02, transition_rad_s=0.05)
+    tried = Trial("thermal_friction", {"cold_torque_nm": 0.015}, 0.015).on(model)
+    assert tried.effects["coulomb"].torque_nm == pytest.approx(0.005)
+    assert tried.effects["thermal_friction"].transition_rad_s == pytest.approx(0.05)
+    more = Trial("thermal_friction", {"cold_torque_nm": 0.05}, 0.05).on(model)
+    assert more.effects["coulomb"].torque_nm == pytest.approx(0.02)
+
+
+def test_an_interval_is_wider_than_the_sandwich_and_than_what_every_rig_has(
+    lost: tuple[Evidence, Found],
+) -> None:
+    seen, found = lost
+    settled = settle(seen, found, {"cogging"})
+    scales = Scales(0.05, 3.0, 0.7, (1.5, 1.2, 1.0), (1.0, 0.8, 0.5), 6.0, 5.0, 0.02, 2e-4)
+    quantity = quantities(settled, scales)["cogging.torque_nm"]
+    reached = standard_errors(settled)[0]
+    assert quantity.standard_error > 2.0 * reached
+    assert quantity.standard_error > 0.25 * material_sizes(scales)["cogging"]
+    assert quantity.ci95[0] < COGGING_NM < quantity.ci95[1]
+
+
+def test_what_is_held_out_has_no_part_in_the_verdict() -> None:
+    """Another rig's recording as hold-out: the same causes and numbers, and another gain."""
+    hidden = MODEL.with_effect("cogging", torque_nm=COGGING_NM, order=ORDER)
+    other = MODEL.with_effect("coulomb", torque_nm=0.05).with_effect("backlash_width")
+    seen = recorded(hidden, 23, slots=SLOTS)
+    verdicts = []
+    for judge in (recorded(hidden, 24, slots=SLOTS), recorded(other, 25, slots=SLOTS)):
+        finding = find_causes([seen], MODEL, held_out=judge, only=("cogging", "coulomb"))
+        verdicts.append(verdict_of(finding))
+    mine, strangers = verdicts
+    assert mine.names == ("cogging",)
+    kept = {"error", "sentence", "seconds"}
+    assert without(mine.numbers(), kept) == without(strangers.numbers(), kept)
+    assert mine.error is not None
+    assert strangers.error is not None
+    assert mine.error.share_explained > 0.9
+    assert strangers.error.share_explained < 0.5
+
+
+def without(numbers: dict[str, object], names: set[str]) -> dict[str, object]:
+    return {**numbers, **dict.fromkeys(names)}

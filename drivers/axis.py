@@ -19,7 +19,9 @@ class Sample:
     Times are CLOCK_MONOTONIC nanoseconds of this host, except `device_time_us`, the device's own
     sampling time (CiA 301 object 0x1013, microseconds, wrapping at 2**32). Counts are unwrapped:
     they run on over the device's range. Angles and velocities are in the direction the rig's
-    configuration calls positive.
+    configuration calls positive. `motor_sampled_ns` and `load_sampled_ns` are when the angles were
+    taken: at the ask where SYNC takes them, later by the request's bytes on a serial line, None
+    where nobody knows.
     """
 
     slot: int
@@ -33,8 +35,11 @@ class Sample:
     motor_velocity_rad_s: float | None = None
     motor_torque_nm: float | None = None
     motor_current_a: float | None = None
+    motor_sampled_ns: int | None = None
+    load_sampled_ns: int | None = None
     load_angle_counts: int | None = None
     load_angle_rad: float | None = None
+    drive_temperature_c: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
     DriverError
     ├── SettingsError   the configuration asks for something this wire or drive cannot do
     ├── WireError       the bus, the cable, or a node on it does not answer
+    │   └── SyncMissingError    the drive that is to produce SYNC does not
     └── DriveError      the drive answered, and refused or faulted
 
 A message says what happened, what was seen, what is allowed, and what to do next.
@@ -19,6 +20,10 @@ class SettingsError(DriverError):
 
 class WireError(DriverError):
     """The bus, the cable, or a node on it does not answer."""
+
+
+class SyncMissingError(WireError):
+    """The drive that is to produce SYNC does not: no command acts, SDO may still be heard."""
 
 
 class DriveError(DriverError):

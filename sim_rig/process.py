@@ -19,17 +19,29 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import IO, Any
 
 from sim_rig.canopen.busloop import RigOnBus, open_bus
+from sim_rig.canopen.cia402 import State
+from sim_rig.counter.box import box_of
+from sim_rig.counter.line import in_a_thread
+from sim_rig.counter.settings import CounterSettings
 from sim_rig.errors import RigSettingsError, SimRigError
 from sim_rig.model import Model
 from sim_rig.plant import Plant
 from sim_rig.realtime import end_with_parent, run_in_real_time
-from sim_rig.settings import CANOPEN, OWN_MODEL, BusOptions, Nominal, RigSettings
+from sim_rig.settings import (
+    CANOPEN,
+    ENCODER_DEVICE,
+    OWN_MODEL,
+    BusOptions,
+    Nominal,
+    RigSettings,
+)
 
 PRIORITY = 70
+SWITCH_INTERVAL_S = 0.0002
 START_TIMEOUT_S = 30.0
 END_TIMEOUT_S = 5.0
 
@@ -92,12 +104,30 @@ def serve(
         bus_options = leaving.enter_context(_hosted(settings))
         bus = open_bus(bus_options)
         leaving.callback(bus.shutdown)
-        loop = RigOnBus(settings, plant, bus)
+        loop = RigOnBus(replace(settings, faults=settings.wire_faults), plant, bus)
         loop.rig.boot()
+        address = dict(bus_options) | leaving.enter_context(_counter(settings, loop))
         if ready is not None:
-            ready(dict(bus_options))
+            ready(address)
         run_in_real_time(PRIORITY)
         loop.run(lambda: ended() or stop())
+
+
+@contextmanager
+def _counter(settings: RigSettings, loop: RigOnBus) -> Iterator[dict[str, Any]]:
+    """The rig's serial counter, where it has one; yields where it is."""
+    if settings.counter is None:
+        yield {}
+        return
+    drive = loop.rig.drive
+    box = box_of(settings, loop.load_counts, lambda: drive.state is State.OPERATION_ENABLED)
+
+    def prepare() -> None:
+        sys.setswitchinterval(SWITCH_INTERVAL_S)  # neither thread waits long for the other
+        run_in_real_time(PRIORITY)
+
+    with in_a_thread(box, settings.counter, prepare) as device:
+        yield {ENCODER_DEVICE: device}
 
 
 def _serve_modbus(
@@ -246,7 +276,8 @@ def settings_from_json(line: str) -> RigSettings:
         table: Mapping[str, Any] = json.loads(line)
         nominal = Nominal(**table["nominal"])
         faults = tuple(table.get("faults", ()))
-        return RigSettings(**{**table, "nominal": nominal, "faults": faults})
+        counter = table.get("counter") and CounterSettings(**table["counter"])
+        return RigSettings(**{**table, "nominal": nominal, "faults": faults, "counter": counter})
     except (ValueError, TypeError, KeyError) as error:
         raise RigSettingsError(
             f"The rig's settings are one line of JSON with the fields of RigSettings: {error!r}"

@@ -4,6 +4,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from sim_rig.counter import orders as counter_orders
+from sim_rig.counter.settings import CounterSettings
 from sim_rig.errors import RigSettingsError
 from sim_rig.faults.catalogue import parse
 from sim_rig.modbus import orders
@@ -13,6 +15,9 @@ BusOptions = Mapping[str, str | int | float | bool]
 
 CANOPEN = "canopen"
 PROTOCOLS = (CANOPEN, "modbus-tcp", "modbus-rtu")
+
+ENCODER_DEVICE = "encoder_device"
+"""Under which name the rig tells, beside its bus, where its serial counter is."""
 
 OWN_MODEL = "model"
 """The plant that is the rig's own model."""
@@ -76,11 +81,13 @@ class RigSettings:
     tables give it, or "package.module:factory", a callable (nominal, seed) -> Plant, for somebody
     else's. Encoder noise is white, per sample,
     before quantisation. `host_hub` starts the TCP bus hub that a socketcand bus on loopback needs.
-    `rated_torque_nm` is what 0x6077 is per mille of (0x6076). `faults` are lines as in
+    `rated_torque_nm` is what 0x6077 is per mille of (0x6076), `drive_temperature_c` what a drive on
+    Modbus says. `faults` are lines as in
     `sim_rig.faults.catalogue`. `protocol` is the wire (faults on
     Modbus: `sim_rig.modbus.orders`): there the drive's node id is its unit
     id, the load's encoder hangs on the drive, and `bus` is host and port, or baud_rate, parity,
-    stop_bits, and turnaround_s of the pty that the rig opens.
+    stop_bits, and turnaround_s of the pty that the rig opens. `counter` is a serial counter on the
+    load, on a pty of its own; faults whose kind begins with "counter-" are its.
 
     Raises RigSettingsError where a value makes no sense.
     """
@@ -97,9 +104,21 @@ class RigSettings:
     load_encoder_noise_rad: float = 0.0
     motor_encoder_noise_rad: float = 0.0
     rated_torque_nm: float = 0.64
+    drive_temperature_c: float = 35.0
     host_hub: bool = True
     faults: tuple[str, ...] = ()
     protocol: str = CANOPEN
+    counter: CounterSettings | None = None
+
+    @property
+    def counter_faults(self) -> tuple[str, ...]:
+        """The faults that are the counter's."""
+        return tuple(it for it in self.faults if it.startswith(counter_orders.PREFIX))
+
+    @property
+    def wire_faults(self) -> tuple[str, ...]:
+        """The faults of the drive's wire."""
+        return tuple(it for it in self.faults if not it.startswith(counter_orders.PREFIX))
 
     def __post_init__(self) -> None:
         if self.protocol not in PROTOCOLS:
@@ -110,11 +129,7 @@ class RigSettings:
             raise RigSettingsError(
                 f"effects are given for plant = {self.plant!r}: only {OWN_MODEL!r} has them."
             )
-        for line in self.faults:
-            if self.protocol == CANOPEN:
-                parse(line)
-            else:
-                orders.parse(line)
+        self._check_faults()
         nodes = (self.drive_node_id, self.encoder_node_id)
         if not all(1 <= node <= 127 for node in nodes) or nodes[0] == nodes[1]:
             raise RigSettingsError(
@@ -128,7 +143,25 @@ class RigSettings:
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
                 raise RigSettingsError(f"{name} = {value}: must be finite; zero is none.")
+        if not -100.0 <= self.drive_temperature_c <= 1000.0:
+            raise RigSettingsError(
+                f"drive_temperature_c = {self.drive_temperature_c}: must be -100 to 1000."
+            )
         if not (math.isfinite(self.rated_torque_nm) and self.rated_torque_nm > 0.0):
             raise RigSettingsError(
                 f"rated_torque_nm = {self.rated_torque_nm}: must be a finite number above zero."
             )
+
+    def _check_faults(self) -> None:
+        for line in self.counter_faults:
+            counter_orders.parse(line)
+            if self.counter is None:
+                raise RigSettingsError(
+                    f"fault {line!r}: this rig has no serial counter. Order it on one that has "
+                    '([encoder] protocol = "serial").'
+                )
+        for line in self.wire_faults:
+            if self.protocol == CANOPEN:
+                parse(line)
+            else:
+                orders.parse(line)

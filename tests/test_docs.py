@@ -68,7 +68,10 @@ def test_every_key_has_a_row_below_its_table(file: File) -> None:
     assert written in REFERENCE
     for kind, key in fields_of(file.model):
         start = 0 if kind == file.model.__name__ else written.index(f": {kind}\n")
-        assert f"\n| `{key}` |" in written[start:].split("\n### ")[0], (kind, key)
+        table = written[start:].split("\n### ")[0]
+        row = re.search(rf"^\| `{key}` \|.* \| (.*) \|$", table, re.MULTILINE)
+        assert row is not None, (kind, key)
+        assert row[1].strip().endswith((".", ")")), f"{kind}.{key} has no meaning: {row[0]}"
 
 
 def test_every_exit_code_is_in_the_reference() -> None:

@@ -35,8 +35,6 @@ class Run:
         self.frames: list[tuple[int, int, int, bytes]] = []
         self.sync = 0
         self.local.rig._send = self._heard
-        if self.local.rig._chain is not None:
-            self.local.rig._chain._send = self._heard
         self._inbox: list[tuple[int, bytes]] = []
         self.enable()
 

@@ -102,12 +102,12 @@ def test_the_registers_are_where_the_table_says_and_overlap_nowhere() -> None:
     assert rig.drive.read(0x0000, 2) == [0x5342, 402]
     assert rig.long(0x0012) == rig.long(0x0014) == COUNTS
     assert rig.long(0x0016) == 640
-    assert rig.drive.read(0x020C, 3) == [0, 0, 0]
+    assert rig.drive.read(0x020C, 4) == [350, 0, 0, 0]
 
 
 def test_what_cannot_be_read_or_written_gets_the_exception_of_the_standard() -> None:
     rig = Wound()
-    for address, count in ((0x0002, 1), (0x0200, 16), (0xFFFF, 1)):
+    for address, count in ((0x0002, 1), (0x0200, 17), (0xFFFF, 1)):
         assert rig.drive.read(address, count) == 2
     assert rig.drive.write(0x0200, [1]) == 2, "read only"
     assert rig.drive.write(0x0101, [1]) == 3, "half a quantity"

@@ -133,7 +133,10 @@ class VirtualBus(can.BusABC):
         super().__init__(channel)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        self._world.take(msg.arbitration_id, bytes(msg.data))
+        if msg.is_remote_frame:
+            self._world.rig.receive_remote(msg.arbitration_id, self._world.now_us)
+        else:
+            self._world.take(msg.arbitration_id, bytes(msg.data))
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         assert timeout is not None, "the master must never wait without end"

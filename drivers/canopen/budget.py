@@ -3,7 +3,8 @@
     bits of a frame with n data bytes  =  47 + 8 n + floor((34 + 8 n - 1) / 4)
 
 with 11-bit identifiers, the worst stuffing, and the three bits between frames (ISO 11898-1). A
-period is RPDO, SYNC, every TPDO, and its share of the heartbeats.
+period is SYNC's: SYNC, every TPDO, the RPDO or its share where one command serves several SYNCs,
+and the share of the heartbeats, or of node guarding's questions and answers.
 """
 
 from dataclasses import dataclass
@@ -13,11 +14,20 @@ from canopen.objectdictionary import ObjectDictionary
 from drivers.canopen.eds import load_eds
 from drivers.canopen.profile import CURRENT, LOAD_POSITION, Address
 from drivers.canopen.settings import CanopenSettings
+from drivers.errors import SettingsError
 
 BIT_RATES = (1_000_000, 500_000, 250_000, 125_000)
 FULL = 0.7
 """A bus that is fuller than this delays frames by more than a few of them."""
+HOLDS = 0.9
+"""A bus that is fuller than this holds no emergency, SDO, or repeated frame besides: refused."""
 _HEARTBEAT_BYTES = 1
+_ONCE_EXAMINED_S = 1.2e-3
+"""A longer period than this holds every frame that an axis can have, at 1 Mbit/s."""
+REMEDY = (
+    "Raise the bit rate, lengthen the period, or lower drive.samples_per_command: every answer "
+    "comes with every SYNC."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +59,10 @@ class BusBudget:
     def load(self, bit_rate: int) -> float:
         """The share of the bus's time, 1 being all of it."""
         return self.bits / (bit_rate * self.period_s)
+
+    def holds(self, bit_rate: int) -> bool:
+        """Whether they fit into the period, with room for what is not of every period."""
+        return self.load(bit_rate) <= HOLDS
 
     def __str__(self) -> str:
         parts = ", ".join(f"{frame.name} {frame.bits:.0f}" for frame in self.frames)
@@ -87,9 +101,29 @@ def bus_budget(settings: CanopenSettings) -> BusBudget:
         objects: tuple[Address, ...] = ((0x6004, 0),)
         objects += ((0x1013, 0),) if _mappable(encoder, (0x1013, 0)) else ()
         frames.append(Frame("encoder's TPDO2", _bytes(encoder, objects)))
-    beats = nodes * settings.period_s / drive.heartbeat_s
-    frames.append(Frame("heartbeats", _HEARTBEAT_BYTES, beats))
+    per_period = settings.period_s / drive.heartbeat_s
+    if profile.stopping.watchdog == "node-guarding":
+        nodes -= 2  # the master's heartbeat and the drive's
+        frames.append(Frame("guarding's question", 0, per_period))
+        frames.append(Frame("its answer", _HEARTBEAT_BYTES, per_period))
+    if nodes:
+        frames.append(Frame("heartbeats", _HEARTBEAT_BYTES, nodes * per_period))
     return BusBudget(tuple(frames), settings.period_s)
+
+
+def check_bus_load(settings: CanopenSettings) -> None:
+    """Raise SettingsError where the bit rate ([bus] bitrate, else the fastest) cannot hold this."""
+    configured = settings.bus.get("bitrate")
+    if configured is None and settings.period_s > _ONCE_EXAMINED_S:
+        return
+    rate = int(configured) if configured else BIT_RATES[0]
+    budget = bus_budget(settings)
+    if not budget.holds(rate):
+        raise SettingsError(
+            f"SYNC every {settings.period_s * 1e3:g} ms does not go over this bus: {budget}, which "
+            f"is {100 * budget.load(rate):.0f} % of {rate // 1000} kbit/s, allowed "
+            f"{100 * HOLDS:.0f} %. {REMEDY}"
+        )
 
 
 def _bytes(dictionary: ObjectDictionary, objects: tuple[Address, ...]) -> int:

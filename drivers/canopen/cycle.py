@@ -3,6 +3,10 @@
 Runs once per period and owns what that needs, prepared: frames, codecs, one matcher per TPDO.
 One thread, no logging, no SDO. The sample of a slot is complete when each of its TPDOs has
 settled (come, or given up); samples leave in slot order.
+
+Where the drive produces SYNC, an ask is the SYNC that comes after the command: `ask` sends and
+waits for it. A SYNC that comes while no command has gone out for it is a slot that nobody asked:
+`next_slot` says which one is next.
 """
 
 import math
@@ -15,48 +19,30 @@ import can
 
 from drivers.axis import Sample
 from drivers.canopen.cia402 import DISABLE_VOLTAGE
+from drivers.canopen.guarding import Guard, guard_times
 from drivers.canopen.line import Line
-from drivers.canopen.matcher import Matcher
 from drivers.canopen.node import EMERGENCY, HEARTBEAT, OPERATIONAL, SDO_RESPONSE, SYNC, Node
-from drivers.canopen.pdo import Layout
 from drivers.canopen.profile import POSITION, STATUSWORD, TIME_STAMP, TORQUE, VELOCITY, Address
 from drivers.canopen.scaling import Unwrapper
 from drivers.canopen.settings import CanopenSettings
 from drivers.canopen.setup import DriveLink, EncoderLink
+from drivers.canopen.stream import (
+    Place,
+    Stream,
+    data_frame,
+    pair,
+    remote_frame,
+    scaled,
+    value_at,
+)
 from drivers.canopen.watch import Watch
-from drivers.errors import SettingsError
+from drivers.errors import SettingsError, SyncMissingError
 from drivers.plausible import Plausibility
 
-Values = tuple[int, ...]
-_Place = tuple[int, int]
-"""Which of the streams, and where in its values."""
 _FLOOD = 1000
 """Frames taken in one call at most, so that a babbling bus cannot hold the loop."""
-
-
-class _Stream:
-    """One TPDO: its frames unpacked and matched."""
-
-    __slots__ = ("_layout", "_watch", "last_answer_ns", "matcher", "name")
-
-    def __init__(self, name: str, layout: Layout, timeout_ns: int, watch: Watch) -> None:
-        self.name = name
-        self.matcher: Matcher[Values] = Matcher(timeout_ns)
-        self.last_answer_ns = 0
-        self._layout = layout
-        self._watch = watch
-
-    def on_frame(self, data: bytearray, now_ns: int) -> Values | None:
-        """Take a frame; None where it is no answer of ours."""
-        codec = self._layout.codec
-        if len(data) != codec.size:
-            self._watch.on_malformed(self.name, self._layout.cob_id, len(data), codec.size, now_ns)
-            return None
-        values: Values = codec.unpack(data)
-        self.last_answer_ns = now_ns
-        if not self.matcher.answer(values, now_ns):
-            self._watch.on_duplicate(self.name, now_ns)
-        return values
+SYNC_PATIENCE_S = 0.1
+"""A drive's SYNC may be late by so much, and by three periods at the least."""
 
 
 class Cycle:
@@ -88,6 +74,12 @@ class Cycle:
         self._timeout_s = settings.answer_timeout_s
         self._command_every = settings.command_every
         self._last_block = -1
+        self._follows = settings.sync_by_drive
+        self._sync_patience_s = max(SYNC_PATIENCE_S, 3 * settings.period_s)
+        self._armed: tuple[int, float] | None = None
+        self._asked_slot, self._asked_ns = -(1 << 62), 0
+        self._held_rad_s = 0.0
+        self._unasked: set[int] = set()
         self._digits_per_rad_s = 1.0 / drive.scale.rad_s_per_digit
         self._period_s = settings.period_s
         self._commanded_rad = 0.0
@@ -100,13 +92,18 @@ class Cycle:
     def _prepare_frames(self, settings: CanopenSettings) -> None:
         command = self._drive.mapping.command
         self._pack_command = command.codec.pack_into
-        self._command = _frame(command.cob_id, bytes(command.codec.size))
-        self._sync = _frame(SYNC, b"")
-        self._heartbeat = _frame(HEARTBEAT + settings.master_node_id, bytes((OPERATIONAL,)))
-        self._heartbeat_ns = round(settings.drive.heartbeat_s * 1e9)
+        self._command = data_frame(command.cob_id, bytes(command.codec.size))
+        self._sync = data_frame(SYNC, b"")
+        drive = settings.drive
+        self._heartbeat = data_frame(HEARTBEAT + settings.master_node_id, bytes((OPERATIONAL,)))
+        self._heartbeat_ns = round(drive.heartbeat_s * 1e9)
+        if self._drive.guarded:
+            guard_ms, _ = guard_times(drive.heartbeat_s, drive.heartbeat_timeout_s)
+            self._heartbeat = remote_frame(HEARTBEAT + drive.node.node_id)
+            self._heartbeat_ns = guard_ms * 1_000_000
         self._next_heartbeat_ns = 0
         own = (self._command, self._sync, self._heartbeat)
-        self._own = frozenset(frame.arbitration_id for frame in own) | {0x000}
+        self._own = frozenset(frame.arbitration_id for frame in own) | {0x000}  # buses that echo
 
     def _prepare_streams(self, encoder: EncoderLink | None, settings: CanopenSettings) -> None:
         timeout_ns = round(settings.answer_timeout_s * 1e9)
@@ -114,7 +111,7 @@ class Cycle:
         layouts = [(drive.node.name, layout) for layout in drive.mapping.answers]
         if encoder:
             layouts.append((encoder.node.name, encoder.position))
-        self._streams = tuple(_Stream(name, it, timeout_ns, watch) for name, it in layouts)
+        self._streams = tuple(Stream(name, it, timeout_ns, watch) for name, it in layouts)
         self._matchers = tuple(stream.matcher for stream in self._streams)
         self._handlers: dict[int, Callable[[bytearray, int], Any]] = {
             layout.cob_id: stream.on_frame
@@ -126,8 +123,14 @@ class Cycle:
         self._supervise(drive.node, sends_heartbeat=drive.sends_heartbeat)
         if encoder:
             self._supervise(encoder.node, sends_heartbeat=encoder.sends_heartbeat)
+        if drive.guarded:
+            guard = Guard(drive.node.name, watch)
+            self._handlers[HEARTBEAT + drive.node.node_id] = guard.on_answer
+            watch.expect_heartbeat(drive.node.name, self._now_ns(), guarded=True)
+        if self._follows:
+            self._handlers[SYNC] = self._on_sync
 
-    def _where(self, address: Address | None) -> _Place | None:
+    def _where(self, address: Address | None) -> Place | None:
         """In which of the drive's answers an object comes, and at which place there."""
         if address is not None:
             for stream, layout in enumerate(self._drive.mapping.answers):
@@ -136,7 +139,7 @@ class Cycle:
                     return stream, place
         return None
 
-    def _required(self, address: Address) -> _Place:
+    def _required(self, address: Address) -> Place:
         place = self._where(address)
         assert place is not None  # noqa: S101 - no profile without it
         return place
@@ -156,7 +159,9 @@ class Cycle:
         self._unwrap_motor = Unwrapper(1 << len(drive.node.variable(*POSITION)))
         self._torque_at = self._where(TORQUE)
         self._velocity_at = self._where(VELOCITY)
-        self._current_at = self._where(mapping.current)
+        self._current_at, self._a_per_digit = self._where(mapping.current), drive.scale.a_per_digit
+        if self._current_at is None:
+            self._current_at, self._a_per_digit = self._torque_at, drive.scale.a_per_torque_digit
         self._time_at = self._where(TIME_STAMP)
         self._load_at = self._where(mapping.load)
         load = settings.encoder or settings.drive.second_encoder
@@ -177,6 +182,8 @@ class Cycle:
         """Send controlword and velocity, then SYNC; returns the time just before the SYNC.
 
         Of `command_every` slots only the first sends a command; the master's own, below 0, all.
+        Where the drive produces SYNC this waits for it, and returns when it came: WireError where
+        none does.
         """
         try:
             digits = round(velocity_rad_s * self._digits_per_rad_s)
@@ -191,18 +198,54 @@ class Cycle:
             if slot < 0 or block != self._last_block:
                 self._bus.send(self._command)
                 self._last_block = block
-            asked_ns = self._now_ns()
-            self._bus.send(self._sync)
-            if asked_ns >= self._next_heartbeat_ns:
+            now_ns = self._now_ns()
+            if not self._follows:
+                self._bus.send(self._sync)
+            if now_ns >= self._next_heartbeat_ns:
                 self._bus.send(self._heartbeat)
-                self._next_heartbeat_ns = asked_ns + self._heartbeat_ns
+                self._next_heartbeat_ns = now_ns + self._heartbeat_ns
         except (can.CanError, OSError) as error:
             raise self._line.broken(error) from error
+        if self._follows:
+            self._armed = slot, velocity_rad_s
+            self._await_sync(now_ns)
+        else:
+            self._open(slot, now_ns, velocity_rad_s)
+        return self._asked_ns
+
+    def _open(self, slot: int, asked_ns: int, velocity_rad_s: float) -> None:
+        """A SYNC has asked: note it, with the command that acts from it on."""
         for matcher in self._matchers:
             matcher.ask(slot, asked_ns)
+        self._asked_slot, self._asked_ns, self._held_rad_s = slot, asked_ns, velocity_rad_s
         self._commanded.append(self._commanded_rad)
         self._commanded_rad += velocity_rad_s * self._period_s
-        return asked_ns
+
+    def _on_sync(self, _data: bytearray, now_ns: int) -> None:
+        """The drive's SYNC: it asks for the slot that was commanded, or for one that was not."""
+        if self._armed is None:
+            slot, velocity_rad_s = self._asked_slot + 1, self._held_rad_s
+            self._unasked.add(slot)
+        else:
+            (slot, velocity_rad_s), self._armed = self._armed, None
+        self._open(slot, now_ns, velocity_rad_s)
+
+    def _await_sync(self, begun_ns: int) -> None:
+        look_ns, give_up_ns = begun_ns, begun_ns + round(self._sync_patience_s * 1e9)
+        while self._armed is not None:
+            if look_ns >= give_up_ns:
+                self._armed = None
+                name, patience_s = self._drive.node.name, self._sync_patience_s
+                raise SyncMissingError(self._watch.on_sync_silence(name, patience_s, look_ns))
+            frame = self._read((give_up_ns - look_ns) * 1e-9)
+            look_ns = self._now_ns()
+            if frame is not None:
+                self._dispatch(frame, look_ns)
+
+    def next_slot(self, slot: int) -> int:
+        """The slot that the drive's next SYNC will ask for, `slot` or a later one."""
+        self.receive(0)
+        return max(slot, self._asked_slot + 1)
 
     def receive(self, until_ns: int) -> None:
         """Take frames until nothing is missing or `until_ns`; without anything missing, until
@@ -275,7 +318,7 @@ class Cycle:
 
     def _judge(self, now_ns: int) -> None:
         """Nothing unread has arrived by `now_ns`: what is overdue now is lost."""
-        silent: list[_Stream] = []
+        silent: list[Stream] = []
         for stream in self._streams:
             matcher = stream.matcher
             if matcher.missing:
@@ -299,7 +342,9 @@ class Cycle:
         complete: list[Sample] = []
         while all(matcher.settled for matcher in self._matchers):
             sample = self._next_sample()
-            if sample.slot >= 0:
+            if sample.slot in self._unasked:
+                self._unasked.discard(sample.slot)
+            elif sample.slot >= 0:
                 complete.append(sample)
         return complete
 
@@ -312,34 +357,36 @@ class Cycle:
             if payload is None:
                 self._lost(stream, slot)
         scale = self._drive.scale
-        counts = _value(values, self._motor_at)
+        counts = value_at(values, self._motor_at)
         if counts is not None:
             counts = self._unwrap_motor(counts)
         self._note_motion(counts, asked_ns)
-        load_counts = _value(values, self._load_at)
+        load_counts = value_at(values, self._load_at)
         if load_counts is not None:
             load_counts = self._unwrap_load(load_counts)
-        motor_rad = _scaled(counts, scale.rad_per_count)
-        load_rad = _scaled(load_counts, self._rad_per_load_count)
+        motor_rad = scaled(counts, scale.rad_per_count)
+        load_rad = scaled(load_counts, self._rad_per_load_count)
         if self.guarded:
             self._plausible.look(
                 asked_ns * 1e-9,
                 commanded_rad,
-                _pair(counts, motor_rad),
-                _pair(load_counts, load_rad),
+                pair(counts, motor_rad),
+                pair(load_counts, load_rad),
             )
         return Sample(
             slot=slot,
             asked_ns=asked_ns,
             drive_answered_ns=drive_ns,
             encoder_answered_ns=settled[self._load_at[0]].received_ns if self._load_at else None,
-            device_time_us=_value(values, self._time_at),
-            statusword=_value(values, (self._state_at, self._statusword_at)),
+            device_time_us=value_at(values, self._time_at),
+            statusword=value_at(values, (self._state_at, self._statusword_at)),
             motor_position_counts=counts,
             motor_position_rad=motor_rad,
-            motor_velocity_rad_s=_scaled(_value(values, self._velocity_at), scale.rad_s_per_digit),
-            motor_torque_nm=_scaled(_value(values, self._torque_at), scale.nm_per_digit),
-            motor_current_a=_scaled(_value(values, self._current_at), scale.a_per_digit),
+            motor_velocity_rad_s=scaled(value_at(values, self._velocity_at), scale.rad_s_per_digit),
+            motor_torque_nm=scaled(value_at(values, self._torque_at), scale.nm_per_digit),
+            motor_current_a=scaled(value_at(values, self._current_at), self._a_per_digit),
+            motor_sampled_ns=None if counts is None else asked_ns,
+            load_sampled_ns=None if load_counts is None else asked_ns,
             load_angle_counts=load_counts,
             load_angle_rad=load_rad,
         )
@@ -354,26 +401,6 @@ class Cycle:
             moved_rad = (counts - before[0]) * self._drive.scale.rad_per_count
             self.motor_velocity_rad_s = moved_rad / max((asked_ns - before[1]) * 1e-9, 1e-4)
 
-    def _lost(self, stream: _Stream, slot: int) -> None:
+    def _lost(self, stream: Stream, slot: int) -> None:
         if slot >= 0:
             self._watch.on_lost(stream.name, slot, self._now_ns())
-
-
-def _value(values: list[Values | None], place: _Place | None) -> int | None:
-    """One object of a slot's answers; None where it is not mapped, or its answer was lost."""
-    if place is None:
-        return None
-    answer = values[place[0]]
-    return None if answer is None else answer[place[1]]
-
-
-def _pair(counts: int | None, angle_rad: float | None) -> tuple[int, float] | None:
-    return None if counts is None or angle_rad is None else (counts, angle_rad)
-
-
-def _scaled(value: int | None, unit: float | None) -> float | None:
-    return None if value is None or unit is None else value * unit
-
-
-def _frame(cob_id: int, data: bytes) -> can.Message:
-    return can.Message(arbitration_id=cob_id, is_extended_id=False, data=data)

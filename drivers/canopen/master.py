@@ -14,11 +14,12 @@ from typing import Self
 
 from drivers.axis import Sample, WireEvent
 from drivers.canopen import cia402
+from drivers.canopen.budget import check_bus_load
 from drivers.canopen.cia402 import State
 from drivers.canopen.cycle import Cycle
 from drivers.canopen.line import Line, open_bus
 from drivers.canopen.listening import refuse_another_master
-from drivers.canopen.node import NMT_PRE_OPERATIONAL, Node
+from drivers.canopen.node import NMT_PRE_OPERATIONAL, SYNC, Node
 from drivers.canopen.settings import CanopenSettings
 from drivers.canopen.setup import (
     DriveLink,
@@ -31,7 +32,7 @@ from drivers.canopen.stopping import stop_by_sdo
 from drivers.canopen.timing import check_period
 from drivers.canopen.watch import Watch
 from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import DriveError, DriverError, WireError
+from drivers.errors import DriveError, DriverError, SyncMissingError, WireError
 
 _FAULT_RESET_S = 0.5
 _PROBES = 3
@@ -87,7 +88,8 @@ class CanopenAxis:
     def command(self, velocity_rad_s: float, slot: int) -> int:
         """Send the set-point of this slot, then SYNC; the time just before the SYNC, in ns.
 
-        Raises WireError when the bus fails, SettingsError for a velocity beyond 0x60FF.
+        Where the drive produces SYNC, wait for its next one. Raises WireError when the bus fails or
+        no SYNC comes, SettingsError for a velocity beyond 0x60FF.
         """
         return self._running().ask(velocity_rad_s, slot)
 
@@ -96,6 +98,10 @@ class CanopenAxis:
         cycle = self._running()
         cycle.receive(until_ns)
         return cycle.samples()
+
+    def next_slot(self, slot: int) -> int:
+        """The slot, `slot` or a later one, that the next SYNC of a drive that produces it asks."""
+        return self._running().next_slot(slot)
 
     def events(self) -> Sequence[WireEvent]:
         """What else happened on the wire, from set-up on, since the last call."""
@@ -109,12 +115,13 @@ class CanopenAxis:
     def _set_up(self) -> Cycle:
         settings, watch = self._settings, self._watch
         check_period(settings)
+        check_bus_load(settings)
         self._line = line = Line(open_bus(settings.bus), self._clock)
 
         def note(kind: str, text: str) -> None:
             watch.tell(self._clock.now_ns(), kind, text)
 
-        refuse_another_master(line, settings.master_node_id)
+        refuse_another_master(line, settings)
         drive_node = open_drive(line, settings.drive)
         encoder_node = None
         if settings.encoder:
@@ -175,7 +182,10 @@ class CanopenAxis:
 
     def _tick(self, cycle: Cycle, tick_ns: int) -> int:
         """One cycle of this master's own at velocity 0; returns the next cycle's time."""
-        self._clock.sleep_until(tick_ns)
+        if not self._settings.sync_by_drive:
+            self._clock.sleep_until(tick_ns)
+        else:
+            cycle.receive(0)  # what came before this cycle's SYNC
         self._own_slot += 1
         cycle.ask(0.0, self._own_slot)
         tick_ns = max(tick_ns + self._period_ns, self._clock.now_ns())
@@ -250,7 +260,7 @@ class CanopenAxis:
         """Bring the drive to rest and power it off; what is wrong, or None when confirmed."""
         cycle.guarded = False
         try:
-            if self._stop_by_pdo(cycle) or stop_by_sdo(
+            if self._stop_on_sync(cycle) or stop_by_sdo(
                 drive.node, self._settings.drive.stop_timeout_s
             ):
                 return None
@@ -268,6 +278,12 @@ class CanopenAxis:
             f"{self._drive_name} did not confirm its stop; last state: {last}{reason}. If it is "
             f"still powered, {own_stop}. Use the emergency stop if the shaft turns."
         )
+
+    def _stop_on_sync(self, cycle: Cycle) -> bool:
+        try:
+            return self._stop_by_pdo(cycle)
+        except SyncMissingError:
+            return False  # no PDO acts without the drive's SYNC; an SDO does
 
     def _stop_by_pdo(self, cycle: Cycle) -> bool:
         """Quick stop, then power off, until statusword and position say so.
@@ -323,8 +339,11 @@ class CanopenAxis:
             if cycle is not None and not stopped:
                 cycle.controlword = cia402.DISABLE_VOLTAGE
                 cycle.ask(0.0, self._own_slot + 1)
-            elif drive is not None and drive.watchdog:
-                drive.node.write(*drive.watchdog, 0)
+            elif drive is not None:
+                if self._settings.sync_by_drive:
+                    drive.node.write(0x1005, 0, SYNC)
+                if drive.watchdog:
+                    drive.node.write(*drive.watchdog, 0)
         except DriverError:
             pass  # a bus or node that is gone takes nothing; the stop has been judged already
         for node in self._nodes:

@@ -72,12 +72,15 @@ class DriveScale:
 
     `rad_s_per_digit` is signed by the direction, as are the others; `nm_per_digit` is None where
     the drive does not tell its rated torque, `a_per_digit` where it does not tell its current.
+    `a_per_torque_digit` is what a digit of torque (0x6077) is in current: both are per mille of a
+    rating, and a drive makes its torque of its current. None where it tells one rating only.
     """
 
     rad_per_count: float
     rad_s_per_digit: float
     nm_per_digit: float | None
     a_per_digit: float | None = None
+    a_per_torque_digit: float | None = None
 
 
 def drive_scale(
@@ -88,14 +91,17 @@ def drive_scale(
     *,
     rated_torque_nm: float | None,
     a_per_digit: float | None = None,
+    rated_current_a: float | None = None,
 ) -> DriveScale:
     """Scale factors of one drive; SettingsError for an unknown velocity unit."""
     unit_rad_s = velocity_unit_rad_s(si_unit_velocity, counts_per_revolution)
+    rated = rated_torque_nm is not None and rated_current_a is not None
     return DriveScale(
         rad_per_count=direction * 2.0 * math.pi / (counts_per_revolution * gear_ratio),
         rad_s_per_digit=direction * unit_rad_s / gear_ratio,
         nm_per_digit=None if rated_torque_nm is None else direction * rated_torque_nm * 1e-3,
         a_per_digit=None if a_per_digit is None else direction * a_per_digit,
+        a_per_torque_digit=direction * (rated_current_a or 0.0) * 1e-3 if rated else None,
     )
 
 

@@ -71,7 +71,8 @@ class CanopenSettings:
     """One axis: bus, drive, load encoder (None where the rig has none), and the period.
 
     `period_s` is SYNC's, and a slot's. `command_every` slots share one set-point: SYNC at 1 ms
-    and 8 sample an 8 ms command eight times. `stuck_travel_rad` is how far the motor may turn
+    and 8 sample an 8 ms command eight times. `sync_by_drive`: the drive produces SYNC, and this
+    master follows. `stuck_travel_rad` is how far the motor may turn
     before the load must have moved at all, see `drivers.plausible`.
     Raises SettingsError for two load encoders.
     """
@@ -83,6 +84,7 @@ class CanopenSettings:
     master_node_id: int = 127
     answer_timeout_s: float = 0.25
     command_every: int = 1
+    sync_by_drive: bool = False
     stuck_travel_rad: float = math.radians(10.0)
 
     def __post_init__(self) -> None:

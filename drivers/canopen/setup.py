@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from drivers.canopen import cia402, pdo
 from drivers.canopen.eds import load_eds
+from drivers.canopen.guarding import LIFE_TIME_FACTOR
 from drivers.canopen.line import Line
 from drivers.canopen.mapping import Mapping, map_drive
 from drivers.canopen.node import (
@@ -23,8 +24,8 @@ from drivers.canopen.pdo import TPDO, Layout
 from drivers.canopen.profile import Address
 from drivers.canopen.scaling import DriveScale, check_ratio
 from drivers.canopen.settings import CanopenSettings, DriveSettings, EncoderSettings, NodeSettings
-from drivers.canopen.stopping import prepare_stop, watch_master
-from drivers.canopen.timing import prepare_sync, set_interpolation_time
+from drivers.canopen.stopping import prepare_stop, watch_master, without_heartbeat
+from drivers.canopen.timing import prepare_sync, produce_sync, set_interpolation_time
 from drivers.canopen.units import read_drive_scale
 from drivers.errors import DriveError, SettingsError, WireError
 
@@ -48,6 +49,11 @@ class DriveLink:
     scale: DriveScale
     watchdog: Address | None
     sends_heartbeat: bool
+
+    @property
+    def guarded(self) -> bool:
+        """Whether this master asks for its state (node guarding) instead of hearing it."""
+        return self.watchdog == LIFE_TIME_FACTOR
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,11 +94,13 @@ def set_up_drive(node: Node, settings: CanopenSettings, note: Note) -> DriveLink
     identify(node, drive.node, drive.profile.vendor_id)
     _power_off(node, note)
     scale = read_drive_scale(node, drive, note)
-    sends_heartbeat = _produce_heartbeat(node, drive.heartbeat_s, note)
+    guarded = without_heartbeat(node, settings)
+    sends_heartbeat = _produce_heartbeat(node, 0.0 if guarded else drive.heartbeat_s, note)
     watchdog = watch_master(node, settings, note)
     prepare_stop(node, drive.profile.stopping)
     timing = drive.profile.timing
-    prepare_sync(node, settings.period_s, needed=timing.sync_period_needed)
+    needed = timing.sync_period_needed or settings.sync_by_drive
+    prepare_sync(node, settings.period_s, needed=needed)
     _select_mode(node, drive, note)
     set_interpolation_time(node, settings)
     if timing.command_delay_cycles:
@@ -103,6 +111,8 @@ def set_up_drive(node: Node, settings: CanopenSettings, note: Note) -> DriveLink
         )
     mapping = map_drive(node, drive, scale)
     link = DriveLink(node, mapping, scale, watchdog, sends_heartbeat)
+    if settings.sync_by_drive:
+        produce_sync(node)
     _start(node, drive.enable_timeout_s, confirmed_by_heartbeat=sends_heartbeat)
     return link
 
@@ -158,11 +168,13 @@ def _power_off(node: Node, note: Note) -> None:
 
 
 def _produce_heartbeat(node: Node, period_s: float, note: Note) -> bool:
+    """Whether it will send one; a period of 0 s switches it off."""
     if not node.writable(0x1017):
-        note("no heartbeat", f"{node.name} has no 0x1017: it is watched by its answers alone.")
+        if period_s:
+            note("no heartbeat", f"{node.name} has no 0x1017: it is watched by its answers alone.")
         return False
     node.configure(0x1017, 0, round(period_s * 1e3))
-    return True
+    return period_s > 0.0
 
 
 def _select_mode(node: Node, drive: DriveSettings, note: Note) -> None:

@@ -12,6 +12,7 @@ import can
 from drivers.axis import WireEvent
 from drivers.canopen import cia402, pdo
 from drivers.canopen.eds import load_eds
+from drivers.canopen.guarding import LIFE_TIME_FACTOR
 from drivers.canopen.line import Line, open_bus
 from drivers.canopen.node import (
     EMERGENCY,
@@ -149,13 +150,18 @@ class CanopenStopLine:
         command = drive.profile.command
         layout = pdo.layout(node, pdo.RPDO, command.pdo, command.objects)
         line.send(layout.cob_id, layout.codec.pack(cia402.QUICK_STOP, 0))
-        line.send(SYNC, b"")
+        by_drive = self._settings.sync_by_drive
+        if not by_drive:
+            line.send(SYNC, b"")
         if not stop_by_sdo(node, drive.stop_timeout_s):
             return False
-        for watchdog in ((0x1016, 1), (pdo.RPDO + command.pdo - 1, 5)):
-            if node.writable(*watchdog):
+        ended = [(0x1016, 1, 0), (pdo.RPDO + command.pdo - 1, 5, 0)]
+        ended += [(*LIFE_TIME_FACTOR, 0)] if node.has(*LIFE_TIME_FACTOR) else []
+        ended += [(0x1005, 0, SYNC)] if by_drive else []
+        for index, sub, value in ended:
+            if node.writable(index, sub):
                 with suppress(DriverError):  # it is off: a watchdog that barks now harms nobody
-                    node.write(*watchdog, 0)
+                    node.write(index, sub, value)
         for node_id in self._node_ids:
             line.send(0x000, bytes((NMT_PRE_OPERATIONAL, node_id)))
         return True

@@ -4,6 +4,12 @@ from collections.abc import Callable
 
 from drivers.canopen import cia402
 from drivers.canopen.cia402 import State
+from drivers.canopen.guarding import (
+    GUARD_TIME,
+    LIFE_TIME_FACTOR,
+    carries_remote_frames,
+    guard_times,
+)
 from drivers.canopen.node import Node
 from drivers.canopen.pdo import RPDO
 from drivers.canopen.profile import Address, Stopping
@@ -29,14 +35,15 @@ def watch_master(node: Node, settings: CanopenSettings, note: Note) -> Address |
     timeout_ms = round(drive.heartbeat_timeout_s * 1e3)
     armed: Address | None = None
     value = timeout_ms
-    if drive.profile.stopping.watchdog == "heartbeat":
+    watchdog = drive.profile.stopping.watchdog
+    if watchdog == "heartbeat":
         armed, value = (0x1016, 1), settings.master_node_id << 16 | timeout_ms
-    elif drive.profile.stopping.watchdog == "rpdo-timer":
+    elif watchdog == "node-guarding":
+        armed = LIFE_TIME_FACTOR
+        guard_ms, value = guard_times(drive.heartbeat_s, drive.heartbeat_timeout_s)
+    elif watchdog == "rpdo-timer":
         armed = (RPDO + drive.profile.command.pdo - 1, _EVENT_TIMER)
-    if armed is None or not node.writable(*armed):
-        lacking = "watchdog by its profile" if armed is None else f"0x{armed[0]:04X}:{armed[1]}"
-        if armed == (0x1016, 1):
-            lacking = "0x1016"
+    if lacking := _what_lacks(node, settings, armed):
         if not drive.without_watchdog:
             raise SettingsError(
                 f"{node.name} has no {lacking}: it would not stop by itself if the bench died. "
@@ -49,8 +56,36 @@ def watch_master(node: Node, settings: CanopenSettings, note: Note) -> Address |
             "operator has acknowledged it (drive.without_watchdog).",
         )
         return None
+    assert armed is not None  # noqa: S101 - else something lacks
+    if armed == LIFE_TIME_FACTOR:
+        node.configure(*GUARD_TIME, guard_ms)
     node.configure(*armed, value)
     return armed
+
+
+def _what_lacks(node: Node, settings: CanopenSettings, armed: Address | None) -> str | None:
+    """What keeps the drive from watching its master, in words; None where nothing does."""
+    if armed is None:
+        return "watchdog by its profile"
+    if armed == LIFE_TIME_FACTOR:
+        if not carries_remote_frames(settings.bus):
+            return (
+                "node guarding on this bus: python-can's interface "
+                f"{settings.bus.get('interface')} carries no remote frames"
+            )
+        if not node.writable(*GUARD_TIME):
+            return "0x100C"
+    if node.writable(*armed):
+        return None
+    return f"0x{armed[0]:04X}:{armed[1]}" if armed[0] >= RPDO else f"0x{armed[0]:04X}"
+
+
+def without_heartbeat(node: Node, settings: CanopenSettings) -> bool:
+    """Whether this drive is to be guarded: a node that has a heartbeat time answers no question."""
+    return (
+        settings.drive.profile.stopping.watchdog == "node-guarding"
+        and _what_lacks(node, settings, LIFE_TIME_FACTOR) is None
+    )
 
 
 def prepare_stop(node: Node, stopping: Stopping) -> None:

@@ -26,6 +26,12 @@ def check_period(settings: CanopenSettings) -> None:
             "profile wants 0x60C2 and the SYNC period equal (command_is_sync). Sample once per "
             "command."
         )
+    if settings.sync_by_drive and not profile.timing.sync_producer:
+        raise SettingsError(
+            f"SYNC by the drive is not for {profile.title}: its profile does not say that it can "
+            'produce one (sync_producer, bit 30 of 0x1005). Set drive.sync = "master", or complete '
+            "the profile by the drive's manual."
+        )
 
 
 def prepare_sync(node: Node, period_s: float | None, *, needed: bool = False) -> None:
@@ -40,9 +46,16 @@ def prepare_sync(node: Node, period_s: float | None, *, needed: bool = False) ->
         node.configure(0x1006, 0, round(period_s * 1e6))
     elif needed:
         raise DriveError(
-            f"{node.name}: its profile says that it needs the SYNC period (0x1006), and its EDS "
-            "has no 0x1006 to write. Use the EDS of this very device, or correct the profile."
+            f"{node.name}: it needs the SYNC period (0x1006), by its profile or because it is to "
+            "produce SYNC, and its EDS has no 0x1006 to write. Use the EDS of this very device, or "
+            "correct the profile or drive.sync."
         )
+
+
+def produce_sync(node: Node) -> None:
+    """The node begins to produce SYNC, every 0x1006; DriveError where it will not."""
+    advice = 'The drive produces no SYNC: set drive.sync = "master".'
+    node.configure(0x1005, 0, _SYNC_PRODUCER | SYNC, advice)
 
 
 def set_interpolation_time(node: Node, settings: CanopenSettings) -> None:

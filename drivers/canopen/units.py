@@ -20,14 +20,22 @@ def read_drive_scale(node: Node, drive: DriveSettings, note: Note) -> DriveScale
     torque_nm = rated_torque_nm(node, units)
     if torque_nm is None:
         note("no torque", f"{node.name} tells no rated torque (0x6076) or no torque (0x6077).")
-    return drive_scale(
+    scale = drive_scale(
         drive.counts_per_revolution,
         drive.gear_ratio,
         drive.direction,
         _velocity_unit(node, units, note),
         rated_torque_nm=torque_nm,
         a_per_digit=_a_per_digit(node, units),
+        rated_current_a=_rated_current_a(node),
     )
+    if scale.a_per_digit is None and node.mappable(*units.current.object):
+        note(
+            "no motor current",
+            f"{node.name} tells a current but not what it is per mille of (0x6075): "
+            "motor_current_a stays empty. Give a_per_digit in [units.current] of a profile.",
+        )
+    return scale
 
 
 def check_ratios(node: Node, drive: DriveSettings) -> None:
@@ -72,4 +80,10 @@ def _a_per_digit(node: Node, units: Units) -> float | None:
         return None
     if units.current.a_per_digit is not None:
         return units.current.a_per_digit
-    return (node.read(0x6075) * 1e-6 or None) if node.has(0x6075) else None
+    rated_a = _rated_current_a(node)
+    return None if rated_a is None else rated_a * 1e-3
+
+
+def _rated_current_a(node: Node) -> float | None:
+    """What 0x6078 is per mille of; None where the drive does not tell."""
+    return (node.read(0x6075) * 1e-3 or None) if node.has(0x6075) else None

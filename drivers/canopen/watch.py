@@ -44,12 +44,15 @@ class Watch:
         self.duplicates = 0
         self._timeout_ns = round(heartbeat_timeout_s * 1e9)
         self._last_heartbeat_ns: dict[str, int] = {}
+        self._guarded: set[str] = set()
         self._events: list[WireEvent] = []
         self._told: set[tuple[str, str]] = set()
 
-    def expect_heartbeat(self, name: str, now_ns: int) -> None:
-        """From now on this node must be heard within the timeout."""
+    def expect_heartbeat(self, name: str, now_ns: int, *, guarded: bool = False) -> None:
+        """From now on this node must be heard within the timeout, by itself or when asked."""
         self._last_heartbeat_ns[name] = now_ns
+        if guarded:
+            self._guarded.add(name)
 
     def tell(
         self, now_ns: int, kind: str, text: str, *, fatal: bool = False, key: str | None = None
@@ -135,6 +138,15 @@ class Watch:
         text = f"{name} has not answered SYNC for {timeout_s:g} s. Check its cable and its supply."
         self.tell(now_ns, "node silent", text, fatal=True, key=name)
 
+    def on_sync_silence(self, name: str, timeout_s: float, now_ns: int) -> str:
+        """No SYNC from the drive that is to produce it; returns the sentence."""
+        text = (
+            f"no SYNC of {name} for {timeout_s:g} s, which is to produce it (drive.sync): the "
+            "drive has restarted, the cable is open, or its supply is gone. Check these."
+        )
+        self.tell(now_ns, "bus silent", text, fatal=True, key="bus")
+        return text
+
     def on_bus_silence(self, names: list[str], timeout_s: float, now_ns: int) -> None:
         """Nobody answers: this is the bus, not a node."""
         text = (
@@ -187,8 +199,11 @@ class Watch:
         """Tell which heartbeats are late; to be called when nothing unread has arrived."""
         for name, last_ns in self._last_heartbeat_ns.items():
             if now_ns - last_ns > self._timeout_ns:
+                guarded = name in self._guarded
+                what = "has not answered node guarding" if guarded else "has sent no heartbeat"
                 text = (
-                    f"{name} has sent no heartbeat for {(now_ns - last_ns) * 1e-9:.2f} s, allowed "
+                    f"{name} {what} for {(now_ns - last_ns) * 1e-9:.2f} s, allowed "
                     f"{self._timeout_ns * 1e-9:g} s. Check its cable and its supply."
                 )
-                self.tell(now_ns, "heartbeat missing", text, fatal=True, key=name)
+                kind = "guarding unanswered" if guarded else "heartbeat missing"
+                self.tell(now_ns, kind, text, fatal=True, key=name)

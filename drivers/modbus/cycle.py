@@ -21,7 +21,8 @@ from drivers.clock import Clock
 from drivers.errors import SettingsError
 from drivers.modbus import profile as names
 from drivers.modbus.budget import response_timeout_s
-from drivers.modbus.frames import describe_exception
+from drivers.modbus.frames import describe_exception, request_bytes
+from drivers.modbus.lines import RtuLine
 from drivers.modbus.link import Link, Reply
 from drivers.modbus.registers import Number
 from drivers.modbus.scaling import Scale
@@ -41,6 +42,7 @@ class _Ask:
     step: int = 0
     done: bool = False
     received_ns: int | None = None
+    sampled_ns: int | None = None
     values: dict[str, Number] = field(default_factory=dict)
 
 
@@ -114,8 +116,16 @@ class Cycle:
     def _begin(self, ask: _Ask, request: ModbusPDU) -> None:
         self._in_force_rad_s = ask.velocity_rad_s
         ask.asked_ns = self.link.begin(request)
+        self._note_sampling(ask, request, ask.asked_ns)
         self._give_up_ns = ask.asked_ns + self._timeouts_ns[0]
         self._open = ask
+
+    def _note_sampling(self, ask: _Ask, request: ModbusPDU, sent_ns: int) -> None:
+        """On a serial line the drive reads its encoders when the request has come; the request
+        that reads the motor's position counts. When that is on a network nobody knows."""
+        block, line = self._exchanges[ask.step].read, self._settings.line
+        if isinstance(line, RtuLine) and block is not None and names.POSITION in block.names:
+            ask.sampled_ns = sent_ns + round(request_bytes(request) * line.character_s * 1e9)
 
     def _begin_deferred(self, until_ns: int) -> None:
         """Send what had to wait for the line, if its time is not over."""
@@ -169,7 +179,9 @@ class Cycle:
             ask.values |= block.decode(pdu.registers[: block.count])
         ask.step += 1
         if ask.step < len(self._exchanges):
-            sent_ns = self.link.begin(self._exchanges[ask.step].request(self.digits, self._lost))
+            request = self._exchanges[ask.step].request(self.digits, self._lost)
+            sent_ns = self.link.begin(request)
+            self._note_sampling(ask, request, sent_ns)
             self._give_up_ns = sent_ns + self._timeouts_ns[ask.step]
             return
         ask.received_ns = self._last_good_ns = reply.received_ns
@@ -245,8 +257,11 @@ class Cycle:
             motor_velocity_rad_s=_scaled(values.get(names.VELOCITY), scale.velocity_rad_s),
             motor_torque_nm=_scaled(values.get(names.TORQUE), scale.torque_nm),
             motor_current_a=_scaled(values.get(names.CURRENT), scale.current_a),
+            motor_sampled_ns=ask.sampled_ns,
+            load_sampled_ns=None if load_counts is None else ask.sampled_ns,
             load_angle_counts=load_counts,
             load_angle_rad=load_rad,
+            drive_temperature_c=_scaled(values.get(names.TEMPERATURE), self._scale.temperature_c),
         )
 
 

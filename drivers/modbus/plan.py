@@ -11,7 +11,7 @@ from itertools import pairwise
 from pymodbus.pdu import ModbusPDU
 
 from drivers.modbus.frames import read_request, read_write_request, write_request
-from drivers.modbus.profile import LOAD, DriveProfile
+from drivers.modbus.profile import LOAD, TEMPERATURE, DriveProfile
 from drivers.modbus.registers import Codec, Number
 
 
@@ -24,6 +24,11 @@ class Block:
     count: int
     items: tuple[tuple[str, Codec, int], ...]
     """Name, codec, and how far behind `address` it begins."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The items' names."""
+        return tuple(name for name, _, _ in self.items)
 
     def encode(self, digits: Mapping[str, Number]) -> list[int]:
         """The registers, for every item's digits. ValueError where one does not fit."""
@@ -70,13 +75,16 @@ class Plan:
 
 
 def plan_of(profile: DriveProfile, without: Set[str] = frozenset()) -> Plan:
-    """The plan of a profile; read blocks whose items are all in `without` are left out.
+    """The plan of a profile; read blocks whose items are all in `without` are left out, and the
+    drive's temperature where it is in `without`.
 
     Raises ValueError where a block cannot be asked for in one request.
     """
     functions = profile.functions
+    words = functions.words_per_read
+    dropped = without & {TEMPERATURE}
     blocks = [
-        _block(profile, names, functions.words_per_read, reading=True)
+        _block(profile, [it for it in names if it not in dropped], words, reading=True)
         for names in profile.cycle.read
         if not set(names) <= without
     ]
@@ -90,9 +98,10 @@ def plan_of(profile: DriveProfile, without: Set[str] = frozenset()) -> Plan:
     return Plan((Exchange(write, None), *reads), reads)
 
 
-def unused_items(*, has_load: bool) -> frozenset[str]:
+def unused_items(*, has_load: bool, limits_temperature: bool = False) -> frozenset[str]:
     """What a rig does not need of the profile's items."""
-    return frozenset() if has_load else frozenset({LOAD})
+    needed = {LOAD: has_load, TEMPERATURE: limits_temperature}
+    return frozenset(name for name, is_needed in needed.items() if not is_needed)
 
 
 def _block(profile: DriveProfile, names: Sequence[str], limit: int, *, reading: bool) -> Block:

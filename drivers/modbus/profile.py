@@ -11,6 +11,7 @@ Items whose names mean something to the bench:
     target_velocity                      written in every period
     statusword, motor_position           read in every period
     motor_velocity, motor_torque, motor_current, load_position, device_time     read where there
+    drive_temperature                    read in every period where it has a limit
     error_code                           told when the drive faults
     rated_torque, rated_current          read once, for per-mille units
     motor_counts_per_revolution, load_counts_per_revolution     read once and compared
@@ -29,6 +30,7 @@ TARGET, STATUS, POSITION, LOAD = (
     "load_position",
 )
 VELOCITY, TORQUE, CURRENT, TIME = "motor_velocity", "motor_torque", "motor_current", "device_time"
+TEMPERATURE = "drive_temperature"
 RATED_TORQUE, RATED_CURRENT, ERROR_CODE = "rated_torque", "rated_current", "error_code"
 MOTOR_COUNTS, LOAD_COUNTS = "motor_counts_per_revolution", "load_counts_per_revolution"
 
@@ -42,6 +44,7 @@ _UNITS: dict[str, tuple[str, ...]] = {
     RATED_TORQUE: ("N m",),
     RATED_CURRENT: ("A",),
     TIME: ("us",),
+    TEMPERATURE: ("degC",),
 }
 
 
@@ -49,7 +52,9 @@ class Bits(Table):
     """Bits of the statusword: `statusword & mask == value`."""
 
     mask: int = Field(ge=1, le=0xFFFFFFFF)
+    """Which bits count."""
     value: int = Field(ge=0, le=0xFFFFFFFF)
+    """What they must be."""
 
     def hold(self, statusword: int) -> bool:
         """Whether they are so."""
@@ -60,94 +65,120 @@ class Step(Table):
     """One write of digits to an item, and the statusword that must come of it, if any."""
 
     write: str
+    """The item that is written."""
     value: Number
+    """The digits that are written."""
     until: Bits | None = None
+    """What the statusword must then become; by default it is not asked."""
 
 
 class Functions(Table):
-    """`[functions]`: function codes and lengths. `read_write` = 23 where the drive has it.
-
-    `spare_read_words` are readable registers after the cycle's last read block: reading one more
-    of them after a lost answer makes a stale one recognisable by its length.
-    """
+    """`[functions]`: function codes and lengths."""
 
     read: Literal[3, 4] = 3
+    """Function code that reads."""
     write: Literal[6, 16] = 16
+    """Function code that writes."""
     read_write: Literal[23] | None = None
+    """Function code that does both at once, where the drive has it."""
     words_per_read: int = Field(default=125, ge=1, le=125)
+    """Most registers of one read."""
     words_per_write: int = Field(default=121, ge=1, le=123)
+    """Most registers of one write."""
     spare_read_words: int = Field(default=0, ge=0, le=8)
+    """Readable registers after the last read block: after a lost answer one more is read, so that a
+    late one shows by its length."""
 
 
 class Timing(Table):
-    """`[timing]`: what the drive takes beside the bytes.
-
-    `turnaround_s` is its usual time from the end of a request to the begin of the answer,
-    `max_response_s` the longest: after that no answer to a request may come any more.
-    `silent_interval_s` is the silence that it needs before and after every message on a serial
-    line where that is longer than t3.5.
-    """
+    """`[timing]`: what the drive takes beside the bytes."""
 
     turnaround_s: float = Field(default=0.001, ge=0.0)
+    """Usual time from the end of a request to the begin of the answer, s."""
     max_response_s: float = Field(default=0.05, gt=0.0)
+    """Longest such time, s: after it no answer may come any more."""
     silent_interval_s: float = Field(default=0.0, ge=0.0)
+    """Silence around every message on a serial line, s, where longer than t3.5."""
     baud_rates: tuple[int, ...] = (9600, 19200, 38400, 57600, 115200)
+    """Speeds that the drive can be set to, Bd."""
 
 
 class CycleTable(Table):
-    """`[cycle]`: the registers of one period.
+    """`[cycle]`: the registers of one period, in blocks of neighbouring items.
 
-    `write` is one block of neighbouring items, `read` one list for each block; an item of a block
-    that the rig does not need is read all the same, a block without any is left out. `values` are
-    the digits of what is written beside the target velocity.
+    An item of a block that the rig does not need is read all the same; a block without any that
+    it needs is left out.
     """
 
     write: tuple[str, ...] = ()
+    """Items of the one block that is written in every period."""
     read: tuple[tuple[str, ...], ...]
+    """Items of each block that is read in every period."""
     values: dict[str, Number] = Field(default_factory=dict)
+    """Digits of what is written beside the target velocity, by item."""
 
 
 class Status(Table):
     """`[status]`: what the statusword says."""
 
     enabled: Bits
+    """The bits of a drive that is enabled."""
     fault: Bits
+    """The bits of a drive that has a fault."""
 
 
 class Watchdog(Table):
-    """`[watchdog]`: the register that makes the drive stop by itself when no request comes.
-
-    A digit is worth `unit_s`; 0 switches it off. `action` says in words what the drive does.
-    """
+    """`[watchdog]`: the register that makes the drive stop by itself when no request comes."""
 
     item: str
+    """The item that arms it; 0 switches it off."""
     unit_s: float = Field(gt=0.0)
+    """A digit's worth, s."""
     range_s: tuple[float, float]
+    """Shortest and longest time that it takes, s."""
     action: str
+    """What the drive then does, in words."""
 
 
 class DriveProfile(Table):
     """One kind of drive on Modbus."""
 
     title: str
+    """What people call the drive."""
     sources: tuple[str, ...] = ()
+    """Where the values come from."""
     notes: tuple[str, ...] = ()
+    """What whoever uses it must know; `servo-bench drives --modbus NAME` prints them."""
     transports: tuple[Literal["modbus-tcp", "modbus-rtu"], ...]
+    """Which Modbus the drive speaks."""
     word_order: WordOrder = "high-first"
+    """Which register of a 32-bit quantity comes first."""
     functions: Functions = Functions()
+    """Function codes and lengths."""
     timing: Timing = Timing()
+    """What the drive takes beside the bytes."""
     items: dict[str, Item]
+    """The quantities, by name; `drivers/modbus/profile.py` says which names the bench knows."""
     cycle: CycleTable
+    """The registers of one period."""
     status: Status | None = None
+    """What the statusword says; needed for a drive that is commanded."""
     identity: dict[str, int] = Field(default_factory=dict)
+    """Digits that items must have for it to be this drive, by item."""
     watchdog: Watchdog | None = None
+    """What makes the drive stop by itself."""
     prepare: tuple[Step, ...] = ()
     """What must be written before the statusword can be read; nothing that moves or stops."""
     set_up: tuple[Step, ...] = ()
+    """Steps before a fault is reset and the drive enabled."""
     reset: tuple[Step, ...] = ()
+    """Steps that reset a fault."""
     enable: tuple[Step, ...] = ()
+    """Steps that enable the drive."""
     stop: tuple[Step, ...] = ()
+    """Steps that stop it, after velocity 0."""
     disable: tuple[Step, ...] = ()
+    """Steps that switch it off."""
 
     @model_validator(mode="after")
     def _names_are_known(self) -> "DriveProfile":

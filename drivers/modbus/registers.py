@@ -15,7 +15,7 @@ Number: TypeAlias = int | float
 Type: TypeAlias = Literal["int16", "uint16", "int32", "uint32", "float32"]
 WordOrder: TypeAlias = Literal["high-first", "low-first"]
 Unit: TypeAlias = Literal[
-    "", "count", "count/s", "rpm", "rad/s", "N m", "A", "per mille rated", "us", "s"
+    "", "count", "count/s", "rpm", "rad/s", "N m", "A", "per mille rated", "us", "s", "degC"
 ]
 
 Address = Field(ge=0, le=0xFFFF)
@@ -44,19 +44,22 @@ class Table(BaseModel):
 
 
 class Item(Table):
-    """`[items.NAME]`: one quantity. A digit is worth `scale` of `unit`.
-
-    `read` and `write` are the function codes for reading (3 holding, 4 input registers) and
-    writing (6 one register, 16 several); without them the profile's own are used.
-    """
+    """`[items.NAME]`: one quantity. A digit is worth `scale` of `unit`."""
 
     address: int = Address
+    """Address of the first register, as it goes over the wire (from 0)."""
     type: Type = "uint16"
+    """How its registers are read; 32-bit types are two registers."""
     word_order: WordOrder | None = None
+    """Which of two registers comes first; by default the profile's."""
     unit: Unit = ""
+    """Unit of the quantity."""
     scale: float = Field(default=1.0, gt=0.0)
+    """A digit's worth, in `unit`."""
     read: Literal[3, 4] | None = None
+    """Function code that reads it (3 holding, 4 input registers); by default the profile's."""
     write: Literal[6, 16] | None = None
+    """Function code that writes it (6 one register, 16 several); by default the profile's."""
 
     @property
     def words(self) -> int:

@@ -15,18 +15,17 @@ and check sum begins: noise before an answer does not cost it.
 import os
 import termios
 from contextlib import suppress
-from typing import Any
 
-import serial
 from pymodbus.exceptions import ModbusException
 from pymodbus.framer import FramerRTU
 from pymodbus.pdu import DecodePDU, ModbusPDU
 
 from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import SettingsError, WireError
+from drivers.errors import WireError
 from drivers.modbus.frames import EXCEPTION_BYTES, answer_bytes, belongs, words_asked
 from drivers.modbus.lines import RtuLine
 from drivers.modbus.link import Reply, readable
+from drivers.serial_port import open_port
 
 _LONGEST = 256
 _HEAD = 3
@@ -54,7 +53,9 @@ class RtuLink:
         self._buffer = bytearray()
         self._request: ModbusPDU | None = None
         self._busy_until_ns = clock.now_ns()  # when the last byte has left, or has come
-        self._port = _open(line)
+        self._port = open_port(
+            line.device, line.baud_rate, parity=line.parity, stop_bits=line.stop_bits
+        )
 
     def begin(self, request: ModbusPDU) -> int:
         """Send a request after the line's silence; see `Link.begin`."""
@@ -163,31 +164,3 @@ class RtuLink:
 
     def _gone(self, reason: object) -> WireError:
         return WireError(f"{self.name} is gone: {reason}. Check the adapter and the cable.")
-
-
-def _open(line: RtuLine) -> Any:
-    try:
-        port = serial.Serial(
-            line.device,
-            line.baud_rate,
-            parity=line.parity,
-            stopbits=line.stop_bits,
-            timeout=0,
-            exclusive=True,
-        )
-    except (ValueError, OverflowError) as error:
-        raise SettingsError(f"{line.name} cannot be: {error}. Correct [bus].") from error
-    except termios.error as error:
-        raise SettingsError(
-            f"{line.device} refuses {line.speed}: {error}. The device or its driver has no such "
-            "speed, parity, or stop bits (a pty has no parity): correct [bus]."
-        ) from error
-    except OSError as error:
-        raise WireError(
-            f"cannot open {line.device}: {error}. Plug the adapter in, correct bus.device, close "
-            "what else uses it, or join the group that owns it (often dialout)."
-        ) from error
-    os.set_blocking(port.fileno(), False)
-    with suppress(NotImplementedError, ValueError, OSError):
-        port.set_low_latency_mode(True)  # else USB adapters hold bytes back for 16 ms
-    return port

@@ -25,6 +25,7 @@ class Scale:
     torque_nm: float | None
     current_a: float | None
     time_us: float | None
+    temperature_c: float | None = None
 
 
 def scale_of(
@@ -34,6 +35,7 @@ def scale_of(
     items = drive.profile.items
     load = drive.load
     velocity, time = items.get(names.VELOCITY), items.get(names.TIME)
+    temperature = items.get(names.TEMPERATURE)
     return Scale(
         command_rad_s=_velocity(items[names.TARGET], drive),
         rad_per_count=_per_count(drive) / drive.gear_ratio,
@@ -42,6 +44,7 @@ def scale_of(
         torque_nm=_rated(items.get(names.TORQUE), drive.direction, rated_torque_nm),
         current_a=_rated(items.get(names.CURRENT), drive.direction, rated_current_a),
         time_us=time.scale if time else None,
+        temperature_c=temperature.scale if temperature else None,
     )
 
 

@@ -40,6 +40,7 @@ class ModbusDriveSettings:
     without_watchdog: bool = False
     enable_timeout_s: float = 2.0
     stop_timeout_s: float = 2.0
+    limits_temperature: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,10 @@ class ModbusSettings:
     def __post_init__(self) -> None:
         drive = self.drive
         self._check_drive()
-        plan = plan_of(drive.profile, unused_items(has_load=drive.load is not None))
+        unused = unused_items(
+            has_load=drive.load is not None, limits_temperature=drive.limits_temperature
+        )
+        plan = plan_of(drive.profile, unused)
         object.__setattr__(self, "plan", plan)
         check_period(drive.profile, self.line, plan, self.period_s)
 

@@ -144,6 +144,12 @@ def read_scale(registers: Registers, settings: ModbusSettings, note: Note) -> Sc
             f"{registers.link.name} tells no torque, or not what it is per mille of: give "
             "drive.rated_torque_nm.",
         )
+    if scale.current_a is None and names.CURRENT in items:
+        note(
+            "no motor current",
+            f"{registers.link.name} tells a current, but not what it is per mille of: "
+            "motor_current_a stays empty. Give its profile an item rated_current.",
+        )
     return scale
 
 

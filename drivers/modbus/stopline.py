@@ -38,7 +38,7 @@ class ModbusStopLine:
         return []
 
     def temperature_c(self) -> float | None:
-        """None: asking would feed the drive's communication timeout."""
+        """None: asking would feed the drive's communication timeout; the samples tell it."""
         return None
 
     def stop(self) -> str | None:

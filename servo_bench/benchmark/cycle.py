@@ -7,12 +7,14 @@ slot there is explained. On CAN a listener on the bus adds what a third party se
 """
 
 import json
+import math
 import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -31,6 +33,7 @@ from sim_rig.process import spawn
 STOLEN_S = 0.0005
 AMPLITUDE_RAD_S = 0.5
 SETUP_S = 3.0
+_NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
 def measure(
@@ -40,22 +43,31 @@ def measure(
     priority: int,
     cpu: int | None,
     rig_name: str = "rigs/paper.toml",
+    drive: Mapping[str, Any] = _NOTHING,
+    bus: Mapping[str, Any] = _NOTHING,
     progress: Callable[[Status], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Play `seconds` at `period_s` on the software rig; the figures, ready for JSON.
 
+    `drive` and `bus` are keys of these tables that differ from the rig file's. Where the angles are
+    sampled faster than the command, the loop and the reference turn once per sample.
     Raises BenchError where there is no C compiler and what a run raises.
     """
-    rig = load_rig(rig_name).on_a_free_port()
+    rig = load_rig(rig_name).on_a_free_port().with_bus(**bus)
+    rig = rig.model_copy(update={"drive": rig.drive.model_copy(update=dict(drive))})
     experiment = _experiment(period_s, seconds)
     chosen = max(os.sched_getaffinity(0)) if cpu is None else cpu
-    period_ns = round(period_s * NS_PER_S)
-    cycles = experiment.schedule().slots + round(SETUP_S / period_s)
+    period_ns = round(period_s / rig.samples_per_command * NS_PER_S)
+    cycles = experiment.schedule().slots * rig.samples_per_command
+    cycles += round(SETUP_S * NS_PER_S / period_ns)
     with tempfile.TemporaryDirectory() as folder, spawn(rig.simulation_settings()) as simulated:
         out = Path(folder) / "cycle.mcap"
         on_can = rig.drive.protocol == "canopen"  # elsewhere there is nobody to listen in
-        slots = experiment.schedule().slots
+        slots = experiment.schedule().slots * rig.samples_per_command
         listener = _start_listener(dict(simulated.bus), slots) if on_can else None
+        echo = None
+        if rig.drive.protocol == "modbus-rtu":
+            echo = _start_echo(period_s, experiment.schedule().slots, priority)
         with running_reference(
             priority=priority,
             cpu=chosen,
@@ -73,8 +85,11 @@ def measure(
             )
             due_ns, late_ns = reference.rows()
         seen = json.loads(listener.communicate()[0]) if listener else None
+        echoed_s = json.loads(echo.communicate()[0]) if echo else []
         recording = load(out)
-    asked_ns = recording["asked_ns"]
+    loop = recording.fast or recording.channels  # a row for every turn of the loop
+    asked_ns = loop["asked_ns"]
+    lateness_s = np.abs(loop["lateness_s"])  # a drive's SYNC may be early
     during = (due_ns >= asked_ns[0]) & (due_ns <= asked_ns[-1])  # without set-up and tear-down
     due_ns, late_ns = due_ns[during], late_ns[during]
     stolen = _stolen_windows(due_ns, late_ns)
@@ -84,16 +99,17 @@ def measure(
         "priority": priority,
         "cpu": chosen,
         "refused": list(summary.sentences),
-        "cycles": len(recording),
-        "loop": _figures(asked_ns, recording["lateness_s"], stolen, period_ns),
+        "cycles": asked_ns.size,
+        "loop": _figures(asked_ns, lateness_s, stolen, period_ns),
         "reference": _figures(due_ns, late_ns / NS_PER_S, stolen, period_ns),
         "stolen_windows": len(stolen),
-        "ratio": _ratio(recording, due_ns, late_ns, stolen, period_ns),
+        "ratio": _ratio((asked_ns, lateness_s), (due_ns, late_ns), stolen, period_ns),
         "missed_slots": summary.missed,
         "unexplained_gaps": _unexplained(recording, stolen, period_ns),
         "round_trip": _round_trip(recording, stolen, period_ns),
         "unanswered_slots": int(np.count_nonzero(~np.isfinite(recording["drive_latency_s"]))),
         "bus": _seen_on_the_bus(seen),
+        **_echo_figures(echoed_s),
     }
 
 
@@ -137,15 +153,32 @@ def _experiment(period_s: float, seconds: float) -> Experiment:
 def _start_listener(
     bus: dict[str, str | int | float | bool], syncs: int
 ) -> "subprocess.Popen[bytes]":
+    return _start("listener", {"bus": bus, "syncs": syncs})
+
+
+def _start_echo(period_s: float, pings: int, priority: int) -> "subprocess.Popen[bytes]":
+    return _start("pty_echo", {"period_s": period_s, "pings": pings, "priority": priority})
+
+
+def _start(module: str, job: dict[str, Any]) -> "subprocess.Popen[bytes]":
     process = subprocess.Popen(
-        [sys.executable, "-m", "servo_bench.benchmark.listener"],
+        [sys.executable, "-m", f"servo_bench.benchmark.{module}"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
     )
     if process.stdin:
-        process.stdin.write(json.dumps({"bus": bus, "syncs": syncs}).encode() + b"\n")
+        process.stdin.write(json.dumps(job).encode() + b"\n")
         process.stdin.flush()
     return process
+
+
+def _echo_figures(echoed_s: list[float]) -> dict[str, Any]:
+    """A byte's way there and back over another pty in the same run; nothing without one."""
+    if not echoed_s:
+        return {}
+    came_s = [took_s for took_s in echoed_s if took_s < math.inf]
+    lost = len(echoed_s) - len(came_s)
+    return {"pty_echo": {**spread_us(came_s), "longer_than_a_period": lost}}
 
 
 def _stolen_windows(due_ns: NDArray[np.int64], late_ns: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -175,14 +208,14 @@ def _figures(
 
 
 def _ratio(
-    recording: Recording,
-    due_ns: NDArray[np.int64],
-    late_ns: NDArray[np.int64],
+    loop: tuple[NDArray[np.int64], NDArray[np.float64]],
+    reference: tuple[NDArray[np.int64], NDArray[np.int64]],
     stolen: NDArray[np.int64],
     period_ns: int,
 ) -> dict[str, float]:
     """Clean lateness of the loop over that of the reference."""
-    loop_s = recording["lateness_s"][_clean(recording["asked_ns"], stolen, period_ns)]
+    due_ns, late_ns = reference
+    loop_s = loop[1][_clean(loop[0], stolen, period_ns)]
     reference_ns = late_ns[_clean(due_ns, stolen, period_ns)]
     return {
         name: float(np.percentile(loop_s * NS_PER_S, mark) / np.percentile(reference_ns, mark))

@@ -27,8 +27,8 @@ COMMANDS = {
     ),
     "drives": Entry(
         "servo_bench.cli.drives",
-        "List the drive profiles that a rig file can name; a new drive needs a TOML file and no "
-        "code.",
+        "List the drives and serial counters that a rig file can name; a new one needs a TOML "
+        "file and no code.",
     ),
     "doctor": Entry(
         "servo_bench.cli.doctor",

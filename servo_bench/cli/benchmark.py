@@ -1,6 +1,7 @@
 """`servo-bench benchmark …`: the bench's claims, measured on this machine."""
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,6 +15,7 @@ from servo_bench.benchmark import kernels as kernels_benchmark
 from servo_bench.benchmark import model as model_benchmark
 from servo_bench.benchmark import recording as recording_benchmark
 from servo_bench.benchmark import volterra as volterra_benchmark
+from servo_bench.benchmark.sweep import measure_all
 from servo_bench.benchmark.volterra import SEEDS
 from servo_bench.cli.output import refuse_existing, write_json
 from servo_bench.cli.progress import run_progress
@@ -35,11 +37,19 @@ def cycle(
     ] = PRIORITY,
     cpu: Annotated[int | None, typer.Option(help="CPU for both loops; default the last.")] = None,
     rig: Annotated[str, typer.Option(help="Rig file, e.g. rigs/modbus-tcp.toml.")] = PAPER_RIG,
+    cases: Annotated[
+        bool, typer.Option("--cases", help="Every bus and period that the bench claims, in turn.")
+    ] = False,
     json: Json = None,
 ) -> None:
     """The bus loop's punctuality beside a C loop on the same CPU, and what a listener sees."""
     refuse_existing(json)
-    with run_progress(Console(stderr=True)) as progress:
+    console = Console(stderr=True)
+    if cases:
+        say = partial(console.print, markup=False)
+        _show(measure_all(seconds=seconds, priority=priority, cpu=cpu, begin=say), json)
+        return
+    with run_progress(console) as progress:
         figures = cycle_benchmark.measure(
             period_s=period_s,
             seconds=seconds,

@@ -93,7 +93,9 @@ def _played(
         return recorded
     with TemporaryDirectory(prefix="servo-bench-") as folder:
         target = out or Path(folder) / "check.mcap"
-        summary = play(experiment, rig, target, console, simulated=not permitted)
+        summary = play(
+            *(experiment, rig, target, console), simulated=not permitted, who="servo-bench check"
+        )
         tell_summary(summary, console)
         if summary.stopped_early:
             raise typer.Exit(STOPPED_BY_OPERATOR)

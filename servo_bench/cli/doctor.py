@@ -11,7 +11,7 @@ from servo_bench.cli.rig import DEFAULT_RIG
 from servo_bench.errors import BenchError
 from servo_bench.rig import RigConfig, load_rig
 from servo_bench.run.axes import axis_settings
-from servo_bench.run.doctor import canopen, host, modbus, move
+from servo_bench.run.doctor import canopen, counter, host, modbus, move
 from servo_bench.run.finding import Finding, Level, stop
 
 
@@ -52,10 +52,11 @@ def doctor(
 
 def _wire(rig: RigConfig, period_s: float) -> list[Finding]:
     try:
-        settings = axis_settings(rig, period_s)
+        settings, beside = axis_settings(rig, period_s), rig.counter_settings(period_s)
+        told = [] if beside is None else counter.examine(beside)
         if isinstance(settings, CanopenSettings):
-            return canopen.examine(settings)
-        return modbus.examine(settings)
+            return [*told, *canopen.examine(settings)]
+        return [*told, *modbus.examine(settings)]
     except BenchError as error:
         return [stop("wire", str(error))]
 

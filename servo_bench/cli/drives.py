@@ -4,9 +4,12 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from drivers.canopen.profile import DriveProfile, load_profile, profile_names
+from drivers.counter import profile as counters
+from drivers.counter.profile import CounterProfile
+from drivers.counter.settings import CounterLine, sum_of
 from drivers.modbus import library as modbus
 from drivers.modbus.budget import shortest_period
 from drivers.modbus.lines import Line, RtuLine, TcpLine
@@ -29,18 +32,25 @@ def drives(
     modbus_only: Annotated[
         bool, typer.Option("--modbus", help="NAME is a register map, for a drive on Modbus.")
     ] = False,
+    counter: Annotated[
+        bool, typer.Option("--counter", help="NAME is the framing of a counter on a serial line.")
+    ] = False,
 ) -> None:
-    """List the drive profiles that a rig file can name; a new drive needs a TOML file and no code.
+    """List the drives and serial counters that a rig file can name; a new one needs a TOML file and
+    no code.
 
-    On CANopen it needs its EDS as well.
+    On CANopen a drive needs its EDS as well.
     """
     console = Console()
     if name is None:
         console.print(_canopen_table())
         console.print(_modbus_table())
+        console.print(_counter_table())
         return
     with gathered():
-        if modbus_only or (name in modbus.profile_names() and name not in profile_names()):
+        if counter or (name in counters.profile_names() and not modbus_only):
+            lines = _describe_counter(name, counters.load_profile(name))
+        elif modbus_only or (name in modbus.profile_names() and name not in profile_names()):
             lines = _describe_map(name, modbus.load_profile(name))
         else:
             lines = _describe(name, load_profile(name))
@@ -78,6 +88,24 @@ def _modbus_table() -> Table:
     return table
 
 
+def _counter_table() -> Table:
+    name = Column("profile", no_wrap=True)
+    table = Table(name, "counter", "request + answer", "check", "numbered", "index")
+    table.title = "Serial counters: [encoder] profile (--counter NAME tells more)"
+    for each in counters.profile_names():
+        profile = counters.load_profile(each)
+        fields = profile.answers.fields
+        table.add_row(
+            each,
+            profile.title,
+            f"{profile.asks.size} + {profile.answers.size} bytes",
+            ", ".join(part.check for part in profile.answer if part.check) or "-",
+            "yes" if profile.is_numbered else "-",
+            "yes" if "index" in fields else "-",
+        )
+    return table
+
+
 def _own_stop(profile: RegisterMap) -> str:
     if not profile.is_commanded:
         return "is read, not driven"
@@ -109,6 +137,22 @@ def _describe_map(name: str, profile: RegisterMap) -> Lines:
         f"{name}: {profile.title}",
         *(f"shortest period, {kind}: {shortest_period(profile, line)}" for kind, line in lines),
         f"stops by itself: {_own_stop(profile)}",
+        *(f"note: {note}" for note in profile.notes),
+        *(f"source: {source}" for source in profile.sources),
+    ]
+
+
+def _describe_counter(name: str, profile: CounterProfile) -> Lines:
+    lines = [
+        CounterLine(
+            "any", rate, profile.line.data_bits, profile.line.parity, profile.line.stop_bits
+        )
+        for rate in profile.line.baud_rates
+    ]
+    return [
+        f"{name}: {profile.title}",
+        *(f"shortest period: {sum_of(profile, line)}" for line in lines),
+        f"counts to {profile.range}, then runs over",
         *(f"note: {note}" for note in profile.notes),
         *(f"source: {source}" for source in profile.sources),
     ]

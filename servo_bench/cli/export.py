@@ -21,12 +21,17 @@ def export(
     *,
     to: Annotated[Kind, typer.Option("--to", help="The format.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="File to write.")],
+    fast: Annotated[
+        bool, typer.Option("--fast", help="The several samples of each command instead.")
+    ] = False,
 ) -> None:
     """Write every channel of a recording, with units in the columns' names."""
     loaded = load(recording)
-    write_export(loaded, out, to)
+    write_export(loaded, out, to, fast=fast)
+    rows = len(loaded.fast["slot"]) if fast else len(loaded)
+    channels = loaded.fast if fast else loaded.channels
     Console(stderr=True).print(
-        f"{len(loaded)} rows of {len(loaded.channels)} channels are in {out}.",
+        f"{rows} rows of {len(channels)} channels are in {out}.",
         markup=False,
         soft_wrap=True,
     )

@@ -14,6 +14,9 @@ from typing import Any, NamedTuple, get_args
 
 from pydantic import BaseModel
 
+from drivers.canopen.profile import DriveProfile as CanopenProfile
+from drivers.counter.profile import CounterProfile
+from drivers.modbus.profile import DriveProfile as RegisterMap
 from servo_bench.check.plan import Plan
 from servo_bench.cli.reference_commands import cell
 from servo_bench.daemon.config import BenchConfig
@@ -37,6 +40,9 @@ FILES = (
     File("Experiment: `experiment.toml`", Experiment),
     File("Daemon: `bench.toml`", BenchConfig),
     File("Acceptance plan: `plan.toml`", Plan),
+    File("Drive profile on CANopen", CanopenProfile),
+    File("Register map on Modbus", RegisterMap),
+    File("Framing of a serial counter", CounterProfile),
     File("Verdict: JSON of `servo-bench diagnose`", Verdict, toml=False),
 )
 
@@ -69,7 +75,7 @@ def key_sections(file: File) -> Iterator[str]:
     said = attribute_docstrings(file.model)
     for name, table in tables(file).items():
         if table.places != [""]:
-            places = ", ".join(f"`[{p}]`" if file.toml else f"`{p}`" for p in table.places)
+            places = ", ".join(_heading(p) if file.toml else f"`{p}`" for p in table.places)
             yield from (f"### {places}: {name}", "")
         yield from (table.schema.get("description", ""), "")
         yield from _rows(table.schema, {k: v for (kind, k), v in said.items() if kind == name})
@@ -77,14 +83,16 @@ def key_sections(file: File) -> Iterator[str]:
 
 
 def _rows(schema: Schema, said: Mapping[str, str]) -> Iterator[str]:
-    """The keys of a table; a column for their meanings where a key has words of its own."""
-    heads = ("key", "type", "default", *(["meaning"] if said else []))
-    yield f"| {' | '.join(heads)} |"
-    yield "|---" * len(heads) + "|"
+    """The keys of a table with their meanings; those of a key that has none are empty."""
+    yield from ("| key | type | default | meaning |", "|---|---|---|---|")
     for key, value in schema.get("properties", {}).items():
-        default = "needed" if key in schema.get("required", ()) else _default(value.get("default"))
-        words = [cell(said.get(key, ""))] if said else []
-        yield f"| {' | '.join([f'`{key}`', cell(_type(value)), default, *words])} |"
+        default = "needed" if key in schema.get("required", ()) else _default(value)
+        yield f"| `{key}` | {cell(_type(value))} | {default} | {cell(said.get(key, ''))} |"
+
+
+def _heading(place: str) -> str:
+    """A table's place as its TOML heading: `[[answers]]` for one of several."""
+    return f"`[[{place[:-2]}]]`" if place.endswith("[]") else f"`[{place}]`"
 
 
 def tables(file: File) -> dict[str, Table]:
@@ -134,6 +142,8 @@ def _type(schema: Schema) -> str:
     if schema.get("type") == "object":
         inner = schema.get("additionalProperties")
         name = f"by name: {_type(inner)}" if isinstance(inner, dict) else "table"
+    elif schema.get("format") == "object":
+        name = 'object ("0x6041", "0x60E4:2")'
     else:
         name = _TYPES.get(schema.get("type", ""), "anything")
     return ", ".join([name, *_bounds(schema)])
@@ -158,10 +168,21 @@ def _name(schema: Schema) -> str:
     return str(schema["$ref"]).rsplit("/", 1)[1]
 
 
-def _default(value: Any) -> str:
+def _default(schema: Schema) -> str:
+    value = schema.get("default")
     if value is None:
         return "none"
+    if schema.get("format") == "object":
+        return f"`{_object(value)}`"
+    if schema.get("items", {}).get("format") == "object":
+        return f"`[{', '.join(_object(one) for one in value)}]`"
     return "its own" if isinstance(value, dict) else f"`{_literal(value)}`"
+
+
+def _object(address: tuple[int, int]) -> str:
+    """An object of CANopen as a profile writes it."""
+    index, sub = address
+    return f'"0x{index:04X}{f":{sub}" if sub else ""}"'
 
 
 def _literal(value: Any) -> str:
@@ -178,7 +199,7 @@ def _literal(value: Any) -> str:
 def attribute_docstrings(model: type[BaseModel]) -> dict[tuple[str, str], str]:
     """The texts below the fields of a model and of those inside it, by (class, field)."""
     return {
-        (kind.__name__, field): text
+        (kind.__name__, kind.model_fields[field].alias or field): text
         for kind in _models(model, set())
         for base in reversed(kind.__mro__)
         if issubclass(base, BaseModel) and base is not BaseModel

@@ -107,7 +107,11 @@ def _against(
         target = out or Path(folder) / "replay.mcap"
 
         def on_a_bus(experiment: Experiment, config: RigConfig) -> Recording:
-            summary = play(experiment, config, target, console, simulated=not permitted)
+            summary = play(
+                *(experiment, config, target, console),
+                simulated=not permitted,
+                who="servo-bench replay",
+            )
             tell_summary(summary, console)
             if summary.stopped_early:
                 raise LimitError("the operator stopped the run: there is nothing to compare.")

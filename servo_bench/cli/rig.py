@@ -7,6 +7,7 @@ from rich.console import Console
 
 from servo_bench.cli.stopping import asked_to_stop
 from servo_bench.rig import load_rig
+from sim_rig.counter import orders as counter_orders
 from sim_rig.faults.catalogue import KINDS
 from sim_rig.process import serve
 
@@ -62,3 +63,7 @@ def _print_faults() -> None:
     for name, kind in KINDS.items():
         values = " ".join(f"{key}={value}" for key, value in kind.defaults.items())
         console.print(f"{name} {values}\n    {kind.text}")
+    for kind_name, text in counter_orders.KINDS.items():
+        order = counter_orders.default(kind_name)
+        told = " ".join(f"{it}={getattr(order, it)}" for it in counter_orders.names_of(kind_name))
+        console.print(f"{kind_name} {told}\n    {text}")

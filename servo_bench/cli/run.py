@@ -69,17 +69,19 @@ def play(
     simulated: bool,
     priority: int = PRIORITY,
     cpu: int | None = None,
+    who: str = "servo-bench run",
 ) -> RunSummary:
     """Run with a progress bar and signals heeded; with `simulated`, on a rig started for it.
 
-    BusyError naming the holder where somebody else on this machine is master on the rig's bus.
+    `who` is told to whoever wants the rig meanwhile. BusyError naming the holder where somebody
+    else on this machine is master on the rig's bus.
     """
     with ExitStack() as stack:
         stop = stack.enter_context(asked_to_stop())
         if simulated:
             started = stack.enter_context(spawn(rig.on_a_free_port().simulation_settings()))
             rig = rig.with_bus(**started.bus)
-        stack.enter_context(holding_rig(rig.bus, "servo-bench run"))
+        stack.enter_context(holding_rig(rig.bus, who))
         progress = stack.enter_context(run_progress(console))
         return run_session(plan, rig, out, progress=progress, stop=stop, priority=priority, cpu=cpu)
 
@@ -92,6 +94,9 @@ def tell_summary(summary: RunSummary, console: Console) -> None:
         console.print("stopped before the drive was enabled: nothing was recorded.")
         return
     ending = "stopped early" if summary.stopped_early else "complete"
+    if summary.alignment:
+        told = "; ".join(delay.words() for delay in summary.alignment)
+        console.print(f"against the ask: {told}", markup=False, soft_wrap=True)
     console.print(
         f"{ending}: {summary.played} of {summary.slots} slots played, {summary.missed} missed; "
         f"the drive is stopped and disabled. Recording: {summary.path}",

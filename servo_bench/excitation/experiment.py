@@ -45,19 +45,24 @@ class Phase(IntEnum):
 
 
 class Experiment(Value):
-    """One run of the bench, as its TOML file describes it.
-
-    `memory` is the kernels' memory in samples; `lead_in` counts chips and is at least that.
-    """
+    """One run of the bench, as its TOML file describes it."""
 
     name: str
+    """What messages and recordings call the experiment."""
     rig: str
+    """The rig file to play on, where the command line names no other."""
     period_s: PositiveFloat
+    """Period of the command, one slot, s."""
     memory: PositiveInt
+    """The kernels' memory, in samples."""
     standstill_s: float = Field(default=2.0, ge=0.0)
+    """How long the rig stands first, for the sensors' noise, s."""
     lead_in: Count = 256
+    """How many chips are played before the identification, at least `memory`."""
     identification: Periodic
+    """The sequence that the kernels are told from."""
     validation: Sequence
+    """Another sequence, that no fit sees."""
 
     def schedule(self) -> "Schedule":
         """The experiment slot by slot; ConfigError where it cannot be played."""

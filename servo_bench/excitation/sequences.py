@@ -34,18 +34,20 @@ Count = Annotated[int, Field(ge=1, le=MAX_CHIPS)]
 
 
 class MSequence(Value):
-    """A binary M-sequence of velocity, +-amplitude: u = 1 - 2 s (bit 0 -> +amplitude).
-
-    `polynomial` is the characteristic polynomial in octal, highest power first, as in the paper.
-    `length` cuts or repeats the period; by default one whole period.
-    """
+    """A binary M-sequence of velocity, +-amplitude: u = 1 - 2 s (bit 0 -> +amplitude)."""
 
     kind: Literal["m-sequence"] = "m-sequence"
+    """Which sequence it is."""
     polynomial: str
+    """Characteristic polynomial in octal, highest power first; must be primitive."""
     amplitude_rad_s: PositiveFloat
+    """The command's size, rad/s."""
     periods: PositiveInt = 1
+    """How many whole periods are played, without `length`."""
     length: Count | None = None
+    """How many chips are played: the period is cut or repeated; by default whole periods."""
     bias_rad_s: float = 0.0
+    """Constant velocity that is added, rad/s."""
 
     def chips(self) -> NDArray[np.int8]:
         """The signs of one play, shape (n,), each +1 or -1. ConfigError if not primitive."""
@@ -63,10 +65,15 @@ class RandomBinary(Value):
     """Independent signs of velocity, +-amplitude, from a seed."""
 
     kind: Literal["random-binary"]
+    """Which sequence it is."""
     seed: int
+    """Seed of the random numbers."""
     amplitude_rad_s: PositiveFloat
+    """The command's size, rad/s."""
     length: Count
+    """How many chips are played."""
     bias_rad_s: float = 0.0
+    """Constant velocity that is added, rad/s."""
 
     def chips(self) -> NDArray[np.int8]:
         """The signs, shape (length,), each +1 or -1."""
@@ -82,10 +89,15 @@ class RandomUniform(Value):
     """Independent velocities, uniform over +-amplitude, from a seed: every level is visited."""
 
     kind: Literal["random-uniform"]
+    """Which sequence it is."""
     seed: int
+    """Seed of the random numbers."""
     amplitude_rad_s: PositiveFloat
+    """The largest size of the command, rad/s."""
     length: Count
+    """How many chips are played."""
     bias_rad_s: float = 0.0
+    """Constant velocity that is added, rad/s."""
 
     def chips(self) -> Array:
         """The levels within +-1, shape (length,)."""
@@ -100,10 +112,15 @@ class InverseRepeat(Value):
     """An M-sequence with every second chip reversed: antisymmetric, u(t + N) = -u(t), N odd."""
 
     kind: Literal["inverse-repeat"]
+    """Which sequence it is."""
     polynomial: str
+    """Characteristic polynomial in octal, highest power first; must be primitive."""
     amplitude_rad_s: PositiveFloat
+    """The command's size, rad/s."""
     periods: PositiveInt = 1
+    """How many whole periods of 2 N chips are played."""
     bias_rad_s: float = 0.0
+    """Constant velocity that is added, rad/s."""
 
     def chips(self) -> NDArray[np.int8]:
         """The signs, shape (2 N periods,), each +1 or -1. ConfigError if not primitive."""
@@ -115,18 +132,22 @@ class InverseRepeat(Value):
 
 
 class FieldSequence(Value):
-    """Three levels (field 3) or five (field 5), the largest +-amplitude.
-
-    `polynomial` is chosen by `degree` where only that is given.
-    """
+    """Three levels (field 3) or five (field 5), the largest +-amplitude."""
 
     kind: Literal["field"]
+    """Which sequence it is."""
     field: Literal[3, 5]
+    """The number of levels."""
     degree: PositiveInt | None = None
+    """Degree n: the first primitive polynomial of it is taken, without `polynomial`."""
     polynomial: str = ""
+    """Coefficients of the characteristic polynomial, highest power first; must be primitive."""
     amplitude_rad_s: PositiveFloat
+    """The largest size of the command, rad/s."""
     periods: PositiveInt = 1
+    """How many whole periods are played."""
     bias_rad_s: float = 0.0
+    """Constant velocity that is added, rad/s."""
 
     def chips(self) -> Array:
         """The levels within +-1, shape (n,). ConfigError where no primitive polynomial is named."""
@@ -145,11 +166,17 @@ class MultiAmplitude(Value):
     """
 
     kind: Literal["multi-amplitude"]
+    """Which sequence it is."""
     polynomial: str
+    """Characteristic polynomial in octal, highest power first; must be primitive."""
     amplitudes_rad_s: Annotated[tuple[PositiveFloat, ...], Field(min_length=2)]
+    """The command's sizes in the order of play, rad/s."""
     periods: PositiveInt = 1
+    """How many whole periods are played at each amplitude."""
     settling: Count = 256
+    """How many chips lead in to each amplitude; no kernel is told from them."""
     bias_rad_s: float = 0.0
+    """Constant velocity that is added, rad/s."""
 
     @property
     def amplitude_rad_s(self) -> float:
@@ -178,7 +205,9 @@ class FromRecording(Value):
     """Velocities slot by slot, as somebody recorded them; no kernel can be told from them."""
 
     kind: Literal["from-recording"] = "from-recording"
+    """Which sequence it is."""
     commands_rad_s: Annotated[tuple[float, ...], Field(min_length=1, max_length=MAX_CHIPS)]
+    """The command in each slot, rad/s."""
 
     @property
     def polynomial(self) -> str:

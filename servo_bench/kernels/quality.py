@@ -1,6 +1,7 @@
 """How punctual a recording is: lateness, missed slots, answers that came late or not at all."""
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_bench.kernels.response import slot_numbers
+from servo_bench.recording.alignment import Delay, alignment
 from servo_bench.recording.recording import MISSING, Recording
 
 NS_PER_S = 1e9
@@ -19,7 +21,8 @@ class RunQuality:
 
     A missed slot was skipped or has no row; a missing answer is a row in which the device's value
     did not come; a late answer took longer than a period. Ask jitter is the deviation of the time
-    between the asks of neighbouring slots from the nominal period.
+    between the asks of neighbouring slots from the nominal period. `alignment`: when the samples
+    of a slot were, against its ask.
     """
 
     slots: int
@@ -35,13 +38,19 @@ class RunQuality:
     ask_jitter_rms_s: float
     ask_jitter_max_s: float
     events: dict[str, int]
+    alignment: tuple[Delay, ...] = ()
 
     def numbers(self) -> dict[str, Any]:
         """The figures, ready for JSON; None for what is not known."""
-        return {
-            name: None if isinstance(value, float) and not np.isfinite(value) else value
-            for name, value in asdict(self).items()
-        }
+        delays = {delay.name: asdict(delay) for delay in self.alignment}
+        return {**_known(asdict(self)), "alignment": {n: _known(d) for n, d in delays.items()}}
+
+
+def _known(figures: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        name: None if isinstance(value, float) and not np.isfinite(value) else value
+        for name, value in figures.items()
+    }
 
 
 def run_quality(recording: Recording) -> RunQuality:
@@ -65,6 +74,7 @@ def run_quality(recording: Recording) -> RunQuality:
         ask_jitter_rms_s=float(np.sqrt(np.mean(jitter**2))) if jitter.size else float("nan"),
         ask_jitter_max_s=_percentile(np.abs(jitter), 100),
         events=dict(Counter(event.kind for event in recording.events)),
+        alignment=alignment(recording.channels),
     )
 
 

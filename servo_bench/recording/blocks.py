@@ -15,7 +15,7 @@ from servo_bench.recording.recording import Recording
 Name = Literal["controller", "mechanics", "transmission", "loop"]
 
 COMMANDS = ("velocity_command_rad_s", "position_command_rad", "torque_command_nm")
-EFFORTS = ("current_a", "motor_torque_nm", "torque_nm", "voltage_v")
+EFFORTS = ("current_a", "motor_torque_nm", "motor_current_a", "torque_nm", "voltage_v")
 MOTIONS = ("motor_position_rad", "motor_velocity_rad_s")
 LOADS = ("load_angle_rad", "load_velocity_rad_s")
 

@@ -18,6 +18,7 @@ from servo_bench.errors import RecordingError
 from servo_bench.recording.recording import SAMPLE_FIELDS
 
 SCHEMA_NAME = "servo_bench_msgs/msg/Sample"
+FAST_SCHEMA_NAME = "servo_bench_msgs/msg/FastSample"
 LITTLE_ENDIAN = bytes((0, 1, 0, 0))
 HEADER_BYTES = len(LITTLE_ENDIAN)
 
@@ -46,6 +47,7 @@ _MEANINGS = {
     "device_time_us": "the device's own sampling time, us; -2^63 where it did not come",
     "motor_position_counts": "raw, unwrapped; -2^63 where it did not come",
     "load_angle_counts": "raw, unwrapped; -2^63 where it did not come",
+    "part": "which of the slot's samples, counted from 0, the command's own",
     "phase": "0 standstill, 1 lead-in, 2 identification, 3 validation",
     "statusword": "CiA 402 0x6041",
 }

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from servo_bench.errors import RecordingError
 from servo_bench.recording.columns import Decoder, decoder, json_object
+from servo_bench.recording.fast import FastRows
 from servo_bench.recording.format import (
     CONFIG_TOPIC,
     EVENTS_TOPIC,
+    FAST_TOPIC,
     MAX_KEPT_BYTES,
     MEASURED_TOPIC,
     MIB,
@@ -27,8 +29,8 @@ class Contents:
     """Filled item by item from a scan.
 
     `rows` are SAMPLE_DTYPE in the file's order, shape (samples,); `fields` are those of them that
-    the file has; `measured` are the columns of data from elsewhere; `config` is the JSON of the
-    /config message, if there is one.
+    the file has; `fast` are the several samples of a slot; `measured` are the columns of data from
+    elsewhere; `config` is the JSON of the /config message, if there is one.
     """
 
     def __init__(self, items: Iterable[Item]) -> None:
@@ -37,6 +39,7 @@ class Contents:
         self.config: dict[str, Any] = {}
         self.events: list[Event] = []
         self.measured = MeasuredColumns()
+        self.fast = FastRows()
         self.fields: frozenset[str] = frozenset()
         self.skipped: list[Skipped] = []
         self.end = End(0, whole=False, lost_bytes=0)
@@ -90,11 +93,13 @@ class Contents:
             self.fields |= made.fields
         if channel.topic == MEASURED_TOPIC:
             self.measured.declare(channel, self._schemas.get(channel.schema_id))
+        if channel.topic == FAST_TOPIC:
+            self.fast.declare(channel, self._schemas.get(channel.schema_id))
 
     def _take_messages(self, messages: Messages) -> None:
         channel = self._channels.get(messages.channel_id)
         topic = channel.topic if channel else ""
-        if topic not in (SAMPLES_TOPIC, MEASURED_TOPIC, EVENTS_TOPIC, CONFIG_TOPIC):
+        if topic not in (SAMPLES_TOPIC, FAST_TOPIC, MEASURED_TOPIC, EVENTS_TOPIC, CONFIG_TOPIC):
             return
         self._kept_bytes += messages.bodies.size
         if self._kept_bytes > MAX_KEPT_BYTES:
@@ -106,6 +111,8 @@ class Contents:
             rows, fields = self._decoders[messages.channel_id].rows(messages.bodies)
             self._parts.append(rows)
             self.fields |= fields
+        elif topic == FAST_TOPIC:
+            self.fast.take(messages.channel_id, messages.bodies)
         elif topic == MEASURED_TOPIC:
             self.measured.take(messages.channel_id, messages.bodies)
         else:

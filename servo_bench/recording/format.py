@@ -4,12 +4,13 @@ The prose is in docs/recording-format.md. A bound is there so that a few bytes c
 the memory there is; each is far above what an honest recording needs.
 """
 
-from servo_bench.recording.recording import SAMPLE_FIELDS
+from servo_bench.recording.recording import FAST_FIELDS, SAMPLE_FIELDS
 
 DOCUMENT = "docs/recording-format.md"
 FORMAT_VERSION = 1
 
 SAMPLES_TOPIC = "/samples"
+FAST_TOPIC = "/fast_samples"
 EVENTS_TOPIC = "/events"
 CONFIG_TOPIC = "/config"
 MEASURED_TOPIC = "/measured"
@@ -19,9 +20,11 @@ EXPERIMENT_METADATA = "servo_bench.experiment"
 RIG_METADATA = "servo_bench.rig"
 PLANT_METADATA = "servo_bench.plant"
 PROVENANCE_METADATA = "servo_bench.provenance"
+ALIGNMENT_METADATA = "servo_bench.alignment"
 RECOVERY_METADATA = "servo_bench.recovery"
 
 SAMPLE_KINDS = dict(SAMPLE_FIELDS)
+FAST_KINDS = dict(FAST_FIELDS)
 REQUIRED_FIELDS = ("slot", "phase", "chip", "velocity_command_rad_s")
 """What was played. Besides these a recording holds at least one of `MEASURED_FIELDS`."""
 MEASURED_FIELDS = ("motor_position_rad", "motor_velocity_rad_s", "load_angle_rad")

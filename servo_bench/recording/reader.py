@@ -141,6 +141,7 @@ def _recording(contents: Contents) -> Recording:
         provenance=contents.metadata.get(PROVENANCE_METADATA, {}),
         events=(*contents.events, *dropped),
         cut=contents.cut or RECOVERY_METADATA in contents.metadata,
+        fast=contents.fast.columns(),
     )
 
 

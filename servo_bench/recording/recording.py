@@ -12,15 +12,18 @@ Channels of a run (others may have fewer; `t_s` and the command are always there
     asked_ns                ns     CLOCK_MONOTONIC at the ask (CANopen: the SYNC)
     device_time_us          us     the device's own sampling time, unwrapped; MISSING without one
     velocity_command_rad_s  rad/s  acts from this slot's ask on
-    motor_position_rad      rad    at this slot's ask, as the next five
+    motor_position_rad      rad    at this slot's ask, as the next three
     motor_velocity_rad_s    rad/s  the drive's own figure
     motor_torque_nm         N m    the drive's own figure
-    load_angle_rad          rad
+    motor_current_a         A      the drive's own figure
+    load_angle_rad          rad    `load_sampled_s` after this slot's ask
     motor_position_counts   1      raw, unwrapped
     load_angle_counts       1      raw, unwrapped
     lateness_s              s      wake-up after the slot's deadline
     drive_latency_s         s      ask -> drive's answer
     encoder_latency_s       s      ask -> encoder's answer
+    motor_sampled_s         s      ask -> instant of the motor's angle: 0 where SYNC takes it
+    load_sampled_s          s      ask -> instant of the load's angle; NaN where nobody knows
     statusword              1      CiA 402 0x6041
 
 Data from elsewhere have `t_s` (seconds, as irregular as it came), the channels that were measured,
@@ -53,16 +56,40 @@ SAMPLE_FIELDS: tuple[tuple[str, str], ...] = (
     ("motor_position_rad", "float64"),
     ("motor_velocity_rad_s", "float64"),
     ("motor_torque_nm", "float64"),
+    ("motor_current_a", "float64"),
     ("load_angle_rad", "float64"),
     ("lateness_s", "float64"),
     ("drive_latency_s", "float64"),
     ("encoder_latency_s", "float64"),
+    ("motor_sampled_s", "float64"),
+    ("load_sampled_s", "float64"),
     ("phase", "uint32"),
     ("statusword", "uint32"),
 )
 """Name and type of every per-slot value, in the order in which a row holds them (no padding)."""
 
-SAMPLE_DTYPE = np.dtype([(name, f"<{np.dtype(kind).str[1:]}") for name, kind in SAMPLE_FIELDS])
+FAST_FIELDS: tuple[tuple[str, str], ...] = (
+    ("slot", "int64"),
+    ("asked_ns", "int64"),
+    ("device_time_us", "int64"),
+    ("motor_position_counts", "int64"),
+    ("load_angle_counts", "int64"),
+    ("motor_position_rad", "float64"),
+    ("load_angle_rad", "float64"),
+    ("motor_sampled_s", "float64"),
+    ("load_sampled_s", "float64"),
+    ("lateness_s", "float64"),
+    ("part", "uint32"),
+)
+"""The same for each of the several samples that a slot can have; `part` counts from 0 in a slot."""
+
+
+def _dtype(fields: tuple[tuple[str, str], ...]) -> "np.dtype[np.void]":
+    return np.dtype([(name, f"<{np.dtype(kind).str[1:]}") for name, kind in fields])
+
+
+SAMPLE_DTYPE = _dtype(SAMPLE_FIELDS)
+FAST_DTYPE = _dtype(FAST_FIELDS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +109,9 @@ class Event:
 class Recording:
     """Channels, what was played, on which rig, and where it came from.
 
-    `channels` maps a name to an array of shape (rows,), all alike in length and read-only.
+    `channels` maps a name to an array of shape (rows,), all alike in length and read-only: one row
+    per command. `fast` does so for FAST_FIELDS where the angles were sampled several times per
+    command (empty elsewhere), in the order of slot and part; part 0 is the slot's own row.
     `provenance` holds versions, host and clock facts as text. `cut` is true where the file ended
     before its run did.
     """
@@ -95,11 +124,14 @@ class Recording:
     events: tuple[Event, ...] = ()
     cut: bool = False
     plant: ForeignPlant | None = None
+    fast: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for array in self.channels.values():
-            array.setflags(write=False)
-        object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
+        for name in ("channels", "fast"):
+            table: Mapping[str, NDArray[Any]] = getattr(self, name)
+            for array in table.values():
+                array.setflags(write=False)
+            object.__setattr__(self, name, MappingProxyType(dict(table)))
 
     def __getitem__(self, channel: str) -> NDArray[Any]:
         return self.channels[channel]
@@ -119,14 +151,21 @@ def recording_from_rows(  # the one way from a run's rows to the value
     events: tuple[Event, ...] = (),
     *,
     cut: bool = False,
+    fast: NDArray[np.void] | None = None,
 ) -> Recording:
-    """A recording from rows of SAMPLE_DTYPE, shape (rows,)."""
+    """A recording from rows of SAMPLE_DTYPE, shape (rows,), and of FAST_DTYPE where there are."""
     return Recording(
-        channels={name: np.ascontiguousarray(rows[name]) for name, _ in SAMPLE_FIELDS},
+        channels=columns_of(rows),
         period_s=experiment.period_s,
         experiment=experiment,
         rig=rig,
         provenance=provenance,
         events=events,
         cut=cut,
+        fast={} if fast is None or not fast.size else columns_of(fast),
     )
+
+
+def columns_of(rows: NDArray[np.void]) -> dict[str, NDArray[Any]]:
+    """Rows of a structured type as arrays by name, each of shape (rows,)."""
+    return {name: np.ascontiguousarray(rows[name]) for name in rows.dtype.names or ()}

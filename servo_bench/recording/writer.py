@@ -7,7 +7,7 @@ samples' own time, and with every event; a closed chunk is with the operating sy
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Self, cast
@@ -20,10 +20,13 @@ from servo_bench import __version__
 from servo_bench.errors import RecordingError
 from servo_bench.excitation.experiment import Experiment
 from servo_bench.recording import cdr
+from servo_bench.recording.alignment import Delay
 from servo_bench.recording.format import (
+    ALIGNMENT_METADATA,
     CONFIG_TOPIC,
     EVENTS_TOPIC,
     EXPERIMENT_METADATA,
+    FAST_TOPIC,
     FORMAT_METADATA,
     FORMAT_VERSION,
     PROVENANCE_METADATA,
@@ -31,7 +34,7 @@ from servo_bench.recording.format import (
     SAMPLES_TOPIC,
 )
 from servo_bench.recording.provenance import utc_offset_ns
-from servo_bench.recording.recording import SAMPLE_DTYPE, Event
+from servo_bench.recording.recording import FAST_DTYPE, FAST_FIELDS, SAMPLE_DTYPE, Event
 from servo_bench.recording.sink import Sink
 from servo_bench.rig import RigConfig
 
@@ -112,9 +115,20 @@ class RecordingWriter:
             raise ValueError(f"rows are {rows.dtype}, and must be SAMPLE_DTYPE")
         self._guarded(self._write_rows, rows)
 
+    def fast(self, rows: NDArray[np.void]) -> None:
+        """Append rows of FAST_DTYPE, shape (n,), in order; before the samples of their slots."""
+        if rows.dtype != FAST_DTYPE:
+            raise ValueError(f"rows are {rows.dtype}, and must be FAST_DTYPE")
+        self._guarded(self._write_fast, rows)
+
     def event(self, event: Event) -> None:
         """Append an event; it and every sample before it are with the operating system then."""
         self._guarded(self._write_event, event_json(event), self._utc_ns(event.time_ns))
+
+    def alignment(self, delays: Sequence[Delay]) -> None:
+        """Add when the samples were, against their asks; once, at the end."""
+        facts = {delay.name: delay.facts() for delay in delays}
+        self._guarded(self._writer.add_metadata, ALIGNMENT_METADATA, facts)
 
     def _guarded(self, act: Callable[..., None], *args: Any) -> None:
         """Do `act`; after a disk that refused once, nothing more is written."""
@@ -152,6 +166,11 @@ class RecordingWriter:
         writer.add_metadata(PROVENANCE_METADATA, dict(provenance))
         sample = writer.register_schema(cdr.SCHEMA_NAME, "ros2msg", cdr.schema_text().encode())
         self._samples = writer.register_channel(SAMPLES_TOPIC, "cdr", sample)
+        self._fast: int | None = None
+        if rig is not None and rig.samples_per_command > 1:
+            schema = cdr.schema_text(FAST_FIELDS).encode()
+            fast = writer.register_schema(cdr.FAST_SCHEMA_NAME, "ros2msg", schema)
+            self._fast = writer.register_channel(FAST_TOPIC, "cdr", fast)
         self._events = self._json_channel(EVENTS_TOPIC, "servo_bench.Event", EVENT_SCHEMA)
         configs = self._json_channel(CONFIG_TOPIC, "servo_bench.Config", CONFIG_SCHEMA)
         begin_ns = self._utc_ns(int(provenance.get("clock_monotonic_ns", 0)))
@@ -177,6 +196,14 @@ class RecordingWriter:
             due = utc_ns - self._open_since_ns >= CHUNK_S * 1e9
             if due or self._open_rows >= self._rows_per_chunk:
                 self._close_chunk()
+
+    def _write_fast(self, rows: NDArray[np.void]) -> None:
+        if self._fast is None:
+            raise ValueError("this rig samples once per command: its file has no fast channel")
+        times_ns = np.maximum(rows["asked_ns"], 0).tolist()
+        for payload, asked_ns in zip(cdr.payloads(rows), times_ns, strict=True):
+            utc_ns = self._utc_ns(asked_ns)
+            self._writer.add_message(self._fast, utc_ns, payload.tobytes(), utc_ns)
 
     def _write_event(self, body: bytes, utc_ns: int) -> None:
         self._writer.add_message(self._events, utc_ns, body, utc_ns)

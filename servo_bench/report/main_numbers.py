@@ -91,6 +91,7 @@ def run_rows(quality: RunQuality, recording: Recording) -> list[Row]:
     """How the run went."""
     return [
         Row("duration", f"{quality.slots * recording.period_s:.1f} s, {quality.slots} slots"),
+        *_fast_rows(recording),
         Row("missed slots", str(quality.missed_slots)),
         Row("missing answers of the drive", str(quality.missing_drive_answers)),
         Row("missing answers of the encoder", str(quality.missing_encoder_answers)),
@@ -100,9 +101,30 @@ def run_rows(quality: RunQuality, recording: Recording) -> list[Row]:
         Row("lateness max", _us(quality.lateness_max_s)),
         Row("interval of the asks, rms off", _us(quality.ask_jitter_rms_s)),
         Row("interval of the asks, largest off", _us(quality.ask_jitter_max_s)),
-        Row("drive's answer after the ask, p99", _us(quality.drive_latency_p99_s)),
-        Row("encoder's answer after the ask, p99", _us(quality.encoder_latency_p99_s)),
+        *(
+            Row(_ALIGNED[delay.name], f"{_us(delay.median_s)}, p99 {_us(delay.p99_s)}")
+            for delay in quality.alignment
+            if delay.name in _ALIGNED
+        ),
     ]
+
+
+_ALIGNED = {
+    "motor sample": "motor's angle taken after the ask, median",
+    "load sample": "load's angle taken after the ask, median",
+    "motor answer": "drive's answer after the ask, median",
+    "load answer": "encoder's answer after the ask, median",
+    "device clock": "device's time of the samples off the asks, median",
+}
+
+
+def _fast_rows(recording: Recording) -> list[Row]:
+    """Said where the angles were sampled faster than the command."""
+    if not recording.fast:
+        return []
+    parts = int(recording.fast["part"].max()) + 1
+    told = f"{parts} per command; the kernels take the one at the command's SYNC"
+    return [Row("samples of the angles", told)]
 
 
 def _us(value_s: float) -> str:

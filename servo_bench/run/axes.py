@@ -4,6 +4,7 @@ from drivers.axis import Axis
 from drivers.canopen.master import CanopenAxis
 from drivers.canopen.settings import CanopenSettings
 from drivers.canopen.stopline import CanopenStopLine
+from drivers.counter.axis import AxisWithCounter
 from drivers.modbus.master import ModbusAxis
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.stopline import ModbusStopLine
@@ -15,6 +16,7 @@ _CIA402_ENABLED = 0x6F, 0x27
 
 def axis_settings(rig: RigConfig, period_s: float) -> CanopenSettings | ModbusSettings:
     """What the rig's master needs; ConfigError where this rig cannot be run at `period_s`."""
+    rig.counter_settings(period_s)
     if isinstance(rig.drive, ModbusDriveConfig):
         return rig.modbus_settings(period_s)
     return rig.canopen_settings(period_s)
@@ -22,10 +24,11 @@ def axis_settings(rig: RigConfig, period_s: float) -> CanopenSettings | ModbusSe
 
 def open_axis(rig: RigConfig, period_s: float) -> Axis:
     """The rig's axis, not yet entered; ConfigError as `axis_settings`."""
-    settings = axis_settings(rig, period_s)
-    if isinstance(settings, ModbusSettings):
-        return ModbusAxis(settings)
-    return CanopenAxis(settings)
+    settings, counter = axis_settings(rig, period_s), rig.counter_settings(period_s)
+    axis: Axis = (
+        ModbusAxis(settings) if isinstance(settings, ModbusSettings) else CanopenAxis(settings)
+    )
+    return axis if counter is None else AxisWithCounter(axis, counter)
 
 
 def stop_line(rig: RigConfig, period_s: float) -> StopLine:

@@ -9,6 +9,9 @@ line; rows go into the slot table; what is not a row goes to stdout as JSON line
     -> take answers until all are there, or the next deadline is near
 
 A slot whose time has passed is skipped and said, never made up. The chip index follows the slot.
+Where the angles are sampled several times per command the loop turns once per sample, a *tick*: the
+first of a slot commands, the others ask only. A slot whose first tick was skipped has no row, and
+the command before it is held to its end.
 Before anything is opened the process forks its supervisor, without which it plays nothing.
 """
 
@@ -19,19 +22,20 @@ import signal
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import FrameType
 from typing import Any
 
 from drivers.axis import Axis, Sample
-from servo_bench.clock import NS_PER_S, Clock, Grid, monotonic_ns
+from servo_bench.clock import NS_PER_S, Clock, monotonic_ns
 from servo_bench.errors import BenchError, ConfigError, LimitError, WireError, gathered
 from servo_bench.excitation.experiment import Experiment, Schedule, experiment_from_table
-from servo_bench.rig import Limits, RigConfig, rig_from_table
+from servo_bench.rig import DriveConfig, Limits, RigConfig, rig_from_table
 from servo_bench.run.axes import open_axis
 from servo_bench.run.limits import Guard, check_missed
+from servo_bench.run.pace import Pace, pace_of
 from servo_bench.run.realtime import follow_parent, make_punctual
-from servo_bench.run.rows import write_answer
+from servo_bench.run.rows import write_answer, write_fast
 from servo_bench.run.supervisor import check_watched, start
 from servo_bench.run.table import SlotTable, Stage
 
@@ -92,69 +96,104 @@ class Player:
         table: SlotTable,
         limits: Limits,
         clock: Clock,
+        *,
+        samples_per_slot: int = 1,
+        sync_by_drive: bool = False,
     ) -> None:
         self._clock = clock
         self._axis = axis
         self._schedule = schedule
         self._table = table
         self._limits = limits
-        self._period_ns = round(schedule.period_s * NS_PER_S)
-        self._open: list[int] = []  # slots asked and not yet settled, in order
+        self._parts = samples_per_slot
+        self._tick_s = schedule.period_s / samples_per_slot
+        self._sync_by_drive = sync_by_drive
+        self._held_rad_s = 0.0
+        self._reached = 0  # the tick to come
+        self._open: list[int] = []  # ticks asked and not yet settled, in order
 
     def play(self, start_ns: int, tell: Tell) -> None:
         """Play every slot whose time comes; return early where the session asks to stop.
 
         Raises LimitError where a limit is left and WireError where the axis cannot be trusted, or
-        where a supervisor that was there looks no more.
+        where a supervisor that was there looks no more; ConfigError where it cannot be followed.
         """
-        grid = Grid(start_ns, self._period_ns)
+        by_drive = self._sync_by_drive
+        pace = pace_of(self._axis, self._clock, start_ns, self._tick_s, by_drive=by_drive)
         guard = Guard(self._limits, self._schedule.period_s, start_ns)
-        slot = 0
-        while slot < self._schedule.slots and not self._table.stop_asked:
-            woken_ns = self._clock.sleep_until(grid.deadline_ns(slot))
+        try:
+            self._play(pace, guard, tell)
+        finally:  # a slot that was begun is recorded, with what came of it
+            first = self._open[0] if self._open else self._reached
+            self._table.done = max(self._table.done, -(-first // self._parts))
+
+    def _play(self, pace: Pace, guard: Guard, tell: Tell) -> None:
+        tick, ticks = 0, self._schedule.slots * self._parts
+        while tick < ticks and not self._table.stop_asked:
+            woken_ns, due = pace.turn(tick)
             self._table.beat_ns = woken_ns
             check_watched(self._table, woken_ns)
-            due = min(grid.due(slot, woken_ns), self._schedule.slots)
-            if due > slot:
-                self._skip(slot, due, tell)
-                slot = due
+            due = min(due, ticks)
+            if due > tick:
+                self._skip(tick, due, tell)
+                tick = due
                 continue
             self._settle(self._axis.samples(woken_ns), guard)
-            asked_ns = self._axis.command(float(self._schedule.velocity_rad_s[slot]), slot)
-            self._write_ask(slot, asked_ns, (woken_ns - grid.deadline_ns(slot)) / NS_PER_S)
-            self._settle(self._axis.samples(grid.deadline_ns(slot + 1) - self._margin_ns), guard)
+            slot, part = divmod(tick, self._parts)
+            if part == 0:
+                self._held_rad_s = float(self._schedule.velocity_rad_s[slot])
+            asked_ns = self._axis.command(self._held_rad_s, tick)
+            self._write_ask(tick, asked_ns, pace.lateness_s(tick, woken_ns, asked_ns))
+            self._settle(self._axis.samples(pace.until_ns(tick)), guard)
             self._heed(tell)
-            slot += 1
+            tick += 1
         self._table.stage = Stage.STOPPING
         self._settle(self._axis.samples(self._clock.now_ns() + round(SETTLE_S * NS_PER_S)), guard)
 
-    @property
-    def _margin_ns(self) -> int:
-        return min(self._period_ns // 8, 500_000)
-
-    def _skip(self, slot: int, due: int, tell: Tell) -> None:
-        self._table.missed += due - slot
-        tell("slot skipped", f"{due - slot} slot(s) from {slot} on were missed", slot=slot, to=due)
+    def _skip(self, tick: int, due: int, tell: Tell) -> None:
+        first, end = -(-tick // self._parts), -(-due // self._parts)  # slots whose command is lost
+        if end > first:
+            self._table.missed += end - first
+            text = f"{end - first} slot(s) from {first} on were missed"
+            tell("slot skipped", text, slot=first, to=end)
+        else:
+            text = f"{due - tick} sample(s) of slot {tick // self._parts} were missed"
+            tell("samples skipped", text, slot=tick // self._parts, samples=due - tick)
+        self._reached = due
         if not self._open:
-            self._table.done = due
-        check_missed(due - slot, due, self._schedule.period_s, self._limits)
+            self._table.done = due // self._parts
+        check_missed(due - tick, due, self._tick_s, self._limits)
 
-    def _write_ask(self, slot: int, asked_ns: int, lateness_s: float) -> None:
-        row = self._table.rows[slot]
-        row["chip"] = self._schedule.chip[slot]
-        row["phase"] = self._schedule.phase[slot]
-        row["velocity_command_rad_s"] = self._schedule.velocity_rad_s[slot]
-        row["asked_ns"] = asked_ns
-        row["lateness_s"] = lateness_s
+    def _write_ask(self, tick: int, asked_ns: int, lateness_s: float) -> None:
+        slot, part = divmod(tick, self._parts)
+        if part == 0:
+            row = self._table.rows[slot]
+            row["chip"] = self._schedule.chip[slot]
+            row["phase"] = self._schedule.phase[slot]
+            row["velocity_command_rad_s"] = self._schedule.velocity_rad_s[slot]
+            row["asked_ns"] = asked_ns
+            row["lateness_s"] = lateness_s
+        if self._parts > 1:
+            fast = self._table.fast[tick]
+            fast["part"], fast["asked_ns"], fast["lateness_s"] = part, asked_ns, lateness_s
         self._table.slot = slot
-        self._open.append(slot)
+        self._reached = tick + 1
+        self._open.append(tick)
 
     def _settle(self, samples: Iterable[Sample], guard: Guard) -> None:
         for sample in samples:
-            write_answer(self._table.rows[sample.slot], sample)
+            slot, part = divmod(sample.slot, self._parts)
             self._open.remove(sample.slot)
-            self._table.done = self._open[0] if self._open else self._table.slot + 1
-            breach = guard.breach(sample)
+            if self._parts > 1:
+                write_fast(self._table.fast[sample.slot], sample, slot)
+                sample = replace(sample, slot=slot)  # noqa: PLW2901 - a tick's number is no slot's
+            if part == 0:
+                write_answer(self._table.rows[slot], sample)
+            if sample.drive_temperature_c is not None:
+                self._table.temperature_c = sample.drive_temperature_c
+            first = self._open[0] if self._open else self._reached
+            self._table.done = first // self._parts
+            breach = guard.breach(sample) if part == 0 else None
             if breach:
                 raise LimitError(
                     f"{breach}: the rig was stopped. Look at the recording before playing again; "
@@ -166,6 +205,22 @@ class Player:
             tell(event.kind, event.text, time_ns=event.time_ns, fatal=event.fatal)
             if event.fatal:
                 raise WireError(f"{event.text} The rig was stopped in slot {self._table.slot}.")
+
+
+def player_for(
+    rig: RigConfig, axis: Axis, schedule: Schedule, table: SlotTable, clock: Clock
+) -> Player:
+    """The player of a rig, as its file has limits and SYNC."""
+    by_drive = isinstance(rig.drive, DriveConfig) and rig.drive.sync == "drive"
+    return Player(
+        axis,
+        schedule,
+        table,
+        rig.limits,
+        clock,
+        samples_per_slot=rig.samples_per_command,
+        sync_by_drive=by_drive,
+    )
 
 
 def run_job(job: Job, table: SlotTable) -> None:
@@ -190,7 +245,7 @@ def run_job(job: Job, table: SlotTable) -> None:
             table.beat_ns = monotonic_ns()
             table.stage = Stage.PLAYING
             try:
-                Player(axis, schedule, table, job.rig.limits, Clock()).play(start_ns, tell)
+                player_for(job.rig, axis, schedule, table, Clock()).play(start_ns, tell)
             finally:
                 table.stage = Stage.STOPPING
             asked = table.stop_asked
@@ -206,7 +261,8 @@ def main(session_pid: int) -> int:
     if not follow_parent(signal.SIGTERM, session_pid):
         return 1  # nobody would watch or record what moves
     job = Job.from_line(sys.stdin.readline())
-    with SlotTable(job.descriptor, job.experiment.schedule().slots) as table:
+    slots, samples = job.experiment.schedule().slots, job.rig.samples_per_command
+    with SlotTable(job.descriptor, slots, samples) as table:
 
         def stop(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
             table.ask_stop()

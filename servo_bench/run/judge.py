@@ -11,7 +11,8 @@ it cannot see: that it hangs, or has died.
     limit           travel, velocity, torque, run time, temperature
     drive           a statusword that is not enabled, an emergency, a restart
     implausible     following error, encoder disagreement, a stuck encoder
-    bus silent      no answer to any slot for longer than the axis itself allows
+    bus silent      no answer of the drive, or of the load's encoder once it has answered, to any
+                    slot for longer than the axis itself allows
 """
 
 import math
@@ -70,6 +71,7 @@ class Judge:
         self._commanded_rad = 0.0
         self._before: tuple[int, float] | None = None  # ask and command of the row before
         self._answered_ns: int | None = None
+        self._load_ns: int | None = None
         self._stage = Stage.STARTING
         self._stage_ns = 0
         self._stop_ns: int | None = None
@@ -175,6 +177,8 @@ class Judge:
                     f"the drive is no longer enabled (statusword 0x{sample.statusword:04X} in slot "
                     f"{sample.slot}): see its display.",
                 )
+        if sample.load_angle_rad is not None:
+            self._load_ns = sample.asked_ns
         self._plausible.look(
             sample.asked_ns / NS_PER_S,
             self._commanded_rad,
@@ -202,16 +206,18 @@ class Judge:
         )
 
     def _judge_silence(self, table: SlotTable) -> Trip | None:
-        if self._answered_ns is None:
-            return None
-        silent_s = (table.beat_ns - self._answered_ns) / NS_PER_S
-        if silent_s <= max(ANSWER_PATIENCE_S, 3 * self.period_s):
-            return None
-        return Trip(
-            "bus silent",
-            f"the drive has answered no slot for {silent_s:.2f} s, in slot {table.slot}. Check "
-            "cable, termination, and supply.",
-        )
+        for who, answered_ns in (
+            ("drive", self._answered_ns),
+            ("load's encoder", self._load_ns),
+        ):
+            silent_s = 0.0 if answered_ns is None else (table.beat_ns - answered_ns) / NS_PER_S
+            if silent_s > max(ANSWER_PATIENCE_S, 3 * self.period_s):
+                return Trip(
+                    "bus silent",
+                    f"the {who} has answered no slot for {silent_s:.2f} s, in slot {table.slot}. "
+                    "Check cable, termination, and supply.",
+                )
+        return None
 
 
 def _pair(counts: int | None, angle_rad: float | None) -> tuple[int, float] | None:

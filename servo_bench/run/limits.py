@@ -101,6 +101,12 @@ class Guard:
                 f"the motor's torque reached {torque_nm:.4g} N m in slot {sample.slot}, the limit "
                 f"is {allowed_nm:.4g} N m"
             )
+        hot_c, allowed_c = sample.drive_temperature_c, self.limits.drive_temperature_c
+        if hot_c is not None and allowed_c is not None and hot_c > allowed_c:
+            return (
+                f"the drive's temperature reached {hot_c:.1f} °C in slot {sample.slot}, the limit "
+                f"is {allowed_c:g} °C"
+            )
         elapsed_s = (sample.asked_ns - self.start_ns) / NS_PER_S
         if elapsed_s > self.limits.run_time_s:
             return (

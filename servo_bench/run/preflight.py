@@ -13,17 +13,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.canopen.budget import BIT_RATES, FULL, bus_budget
+from drivers.canopen.budget import BIT_RATES, FULL, REMEDY, bus_budget
 from drivers.canopen.profile import DriveProfile
 from drivers.canopen.scaling import velocity_unit_rad_s
 from drivers.canopen.settings import CanopenSettings
+from drivers.counter.settings import CounterSettings, sum_of
 from drivers.modbus import profile as names
 from drivers.modbus.budget import shortest_period
 from drivers.modbus.scaling import scale_of
 from drivers.modbus.settings import ModbusSettings
 from servo_bench.errors import BenchError, gathered
 from servo_bench.excitation.experiment import Experiment, Schedule
-from servo_bench.rig import DriveConfig, ModbusDriveConfig, RigConfig
+from servo_bench.rig import ModbusDriveConfig, RigConfig
 from servo_bench.run.axes import axis_settings
 from servo_bench.run.finding import Finding, change, note, ok, stop
 from servo_bench.run.limits import check_schedule
@@ -83,10 +84,14 @@ def preflight(experiment: Experiment, rig: RigConfig) -> list[Finding]:
         ("motion and current", lambda: _motion(schedule, rig)),
     ):
         findings += _attempt(subject, check)
+    if settings is not None and rig.limits.drive_temperature_c is not None:
+        findings.append(_temperature(settings, rig.limits.drive_temperature_c))
     if isinstance(settings, CanopenSettings):
         findings += _attempt("drive", lambda: _canopen(schedule, settings))
     elif isinstance(settings, ModbusSettings):
         findings += _attempt("drive", lambda: _modbus(schedule, settings))
+    if settings is not None:
+        findings += _counter(rig.counter_settings(experiment.period_s))
     return findings
 
 
@@ -96,6 +101,23 @@ def _attempt(subject: str, check: Callable[[], list[Finding]]) -> list[Finding]:
             return check()
     except BenchError as error:
         return [stop(subject, str(error))]
+
+
+def _temperature(settings: CanopenSettings | ModbusSettings, limit_c: float) -> Finding:
+    """Whether anybody tells the temperature that has a limit."""
+    profile = settings.drive.profile
+    if isinstance(settings, ModbusSettings):
+        block = [name for read in settings.drive.profile.cycle.read for name in read]
+        told = names.TEMPERATURE in block
+    else:
+        told = settings.drive.profile.temperature is not None
+    if told:
+        return ok("temperature", f"the drive tells it; a run trips above {limit_c:g} °C.")
+    return change(
+        "temperature",
+        f"limits.drive_temperature_c = {limit_c:g} watches nothing: the profile of {profile.title} "
+        "does not say where the drive tells it. Complete the profile, or take the limit out.",
+    )
 
 
 def _limits(schedule: Schedule, rig: RigConfig) -> list[Finding]:
@@ -237,10 +259,32 @@ def _bus(settings: CanopenSettings) -> list[Finding]:
     configured = settings.bus.get("bitrate")
     rates = (int(configured),) if configured else BIT_RATES
     loads = ", ".join(f"{100 * budget.load(rate):.0f} % at {rate // 1000} kbit/s" for rate in rates)
-    text = f"{budget} in {settings.period_s * 1e3:g} ms: {loads}"
+    text = f"{budget} in {settings.period_s * 1e3:g} ms, SYNC's period: {loads}"
+    if not budget.holds(max(rates)):
+        return [stop("bus load", f"{text}: it does not hold. {REMEDY}")]
     if configured and budget.load(int(configured)) > FULL:
         return [change("bus load", f"{text}: raise the bit rate, or lengthen the period.")]
     return [ok("bus load", f"{text}.")]
+
+
+def _counter(settings: CounterSettings | None) -> list[Finding]:
+    """The load's counter on its serial line: the sum, and when its sample is."""
+    if settings is None:
+        return []
+    text = (
+        f"{sum_of(settings.profile, settings.line)}; the load's angle is taken "
+        f"{settings.sampled_after_s * 1e3:.2f} ms after the ask (recorded: load_sampled_s)"
+    )
+    if settings.give_up_s > settings.period_s and not settings.profile.is_numbered:
+        return [
+            change(
+                "load counter",
+                f"{text}. Its longest answer takes {settings.give_up_s * 1e3:.2f} ms, more than a "
+                "period: a lost one costs two slots or more. Lengthen the period, or raise the "
+                "speed.",
+            )
+        ]
+    return [ok("load counter", f"{text}.")]
 
 
 def _modbus(schedule: Schedule, settings: ModbusSettings) -> list[Finding]:
@@ -257,8 +301,3 @@ def _modbus(schedule: Schedule, settings: ModbusSettings) -> list[Finding]:
     if torque is not None:
         findings.append(note("unit of the torque", f"{torque.scale:g} {torque.unit} a digit."))
     return findings
-
-
-def is_canopen(rig: RigConfig) -> bool:
-    """Whether the rig's drive can be asked by SDO."""
-    return isinstance(rig.drive, DriveConfig)

@@ -27,6 +27,7 @@ from servo_bench.errors import BenchError, ConfigError, WireError
 from servo_bench.excitation.experiment import Experiment, Phase, Schedule
 from servo_bench.excitation.sequences import FieldSequence, FromRecording
 from servo_bench.kernels.shifts import collision_free_memory
+from servo_bench.recording.alignment import Delay, alignment
 from servo_bench.recording.mcap_file import RecordingWriter
 from servo_bench.recording.provenance import provenance
 from servo_bench.recording.recording import Event
@@ -70,6 +71,7 @@ class RunSummary:
     missed: int
     stopped_early: bool
     sentences: tuple[str, ...] = field(default=())
+    alignment: tuple[Delay, ...] = ()
 
 
 def run(
@@ -97,7 +99,7 @@ def run(
     check_memory(experiment)
     check_schedule(schedule, rig.limits)
     axis_settings(rig, experiment.period_s)  # a missing EDS is found before a file is opened
-    with SlotTable.create(schedule.slots) as table:
+    with SlotTable.create(schedule.slots, rig.samples_per_command) as table:
         opened(table)
         known = {**provenance(), **facts}
         writer = RecordingWriter(out, experiment, rig, known, 1.0 / experiment.period_s)
@@ -107,6 +109,8 @@ def run(
                 with _Loop(Job(experiment, rig, table.descriptor, priority, cpu)) as loop:
                     watch.until_over(loop, stop)
                 error = watch.what_ended_it(loop)
+                delays = alignment(table.rows[table.rows["slot"] != UNPLAYED])
+                writer.alignment(delays)
         finally:
             if watch.played == 0:
                 out.unlink(missing_ok=True)
@@ -119,6 +123,7 @@ def run(
             missed=table.missed,
             stopped_early=table.stop_asked,
             sentences=tuple(watch.sentences),
+            alignment=delays,
         )
 
 
@@ -228,6 +233,7 @@ class _Watch:
         self._schedule = schedule
         self._writer = writer
         self._progress = progress
+        self._samples_per_slot = max(1, table.fast.size // max(schedule.slots, 1))
         self._written = 0
         self._ending: Event | None = None
         self._supervisors_stop = "has not said whether the drive stands: see that it does"
@@ -268,9 +274,12 @@ class _Watch:
             self._supervisors_stop = event.text.rstrip(".")
 
     def _write_rows(self) -> None:
-        done = self._table.done
+        done, parts = self._table.done, self._samples_per_slot
         rows = self._table.rows[self._written : done]
         rows = rows[rows["slot"] != UNPLAYED]
+        if parts > 1:  # first, so that the chunk that the samples close has them
+            fast = self._table.fast[self._written * parts : done * parts]
+            self._writer.fast(fast[fast["slot"] != UNPLAYED])
         if rows.size:
             self._writer.samples(rows)
         self.played += rows.size

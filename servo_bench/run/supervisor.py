@@ -136,10 +136,11 @@ class Supervisor:
             line.close()
 
     def _temperature_c(self, line: StopLine | None, now_ns: int) -> float | None:
-        if line is None or not self._judge.wants_temperature or now_ns < self._next_temperature_ns:
+        if not self._judge.wants_temperature or now_ns < self._next_temperature_ns:
             return None
         self._next_temperature_ns = now_ns + round(TEMPERATURE_EVERY_S * NS_PER_S)
-        return line.temperature_c()
+        told_c = line.temperature_c() if line else None
+        return self._table.temperature_c if told_c is None else told_c
 
     def _stop(self, trip: Trip, line: StopLine | None) -> None:
         tripped_ns = monotonic_ns()

@@ -1,10 +1,11 @@
 """The table that the bus loop fills and the session reads: shared memory, no locks, no calls.
 
-One row of SAMPLE_DTYPE for every slot of the schedule, allocated before the run, and a few words
-beside it. Every word is an aligned 64-bit integer, which x86-64 and AArch64 store whole, and has
-one writer:
+One row of SAMPLE_DTYPE for every slot of the schedule, allocated before the run, one of FAST_DTYPE
+for each of a slot's samples where it has several, and a few words beside them. Every word is an
+aligned 64-bit integer, which x86-64 and AArch64 store whole, and has one writer:
 
-    loop         rows, done (stored after the rows it covers), slot, missed, stage, beat_ns
+    loop         rows, fast, done (stored after the rows it covers), slot, missed, stage, beat_ns,
+                 temperature_mc (thousandths of a degree)
     session      stop
     supervisor   watch_ns, and the trip: kind and text first, trip_ns after them
 """
@@ -19,24 +20,37 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_bench.recording.recording import MISSING, SAMPLE_DTYPE, SAMPLE_FIELDS
+from servo_bench.recording.recording import (
+    FAST_DTYPE,
+    FAST_FIELDS,
+    MISSING,
+    SAMPLE_DTYPE,
+    SAMPLE_FIELDS,
+)
 
 UNPLAYED = -1
 """The `slot` of a row whose slot was skipped or is still to come."""
 
-_NUMBERS = ("done", "stop", "slot", "missed", "stage", "beat_ns", "watch_ns", "trip_ns")
+_NUMBERS = (
+    *("done", "slot", "missed", "stage", "beat_ns", "temperature_mc"),
+    *("stop", "watch_ns", "trip_ns"),
+)
 _TRIP_TEXT_BYTES = 1000
 _WORDS = np.dtype(
     [(name, "<i8") for name in _NUMBERS]
     + [("trip_kind", "S24"), ("trip_text", f"S{_TRIP_TEXT_BYTES}")]
 )
-_EMPTY = np.zeros((), SAMPLE_DTYPE)
-for _name, _kind in SAMPLE_FIELDS:
-    if _kind == "float64":
-        _EMPTY[_name] = np.nan
-    elif _kind == "int64":
-        _EMPTY[_name] = MISSING
-_EMPTY["slot"] = UNPLAYED
+
+
+def _empty(fields: tuple[tuple[str, str], ...], dtype: "np.dtype[np.void]") -> NDArray[np.void]:
+    row = np.zeros((), dtype)
+    for name, kind in fields:
+        if kind == "float64":
+            row[name] = np.nan
+        elif kind == "int64":
+            row[name] = MISSING
+    row["slot"] = UNPLAYED
+    return row
 
 
 class Stage(IntEnum):
@@ -64,21 +78,27 @@ class SlotTable:
     the last process that holds it, however that one ends.
     """
 
-    def __init__(self, descriptor: int, slots: int) -> None:
+    def __init__(self, descriptor: int, slots: int, samples_per_slot: int = 1) -> None:
+        """Look at that memory; who leaves `samples_per_slot` out does without the fast rows."""
         self.descriptor = descriptor
-        self._memory = mmap.mmap(descriptor, _size(slots))
+        self._memory = mmap.mmap(descriptor, _size(slots, samples_per_slot))
         self._words: NDArray[np.void] | None = np.ndarray((), _WORDS, self._memory)
         self._rows: NDArray[np.void] | None = np.ndarray(
             (slots,), SAMPLE_DTYPE, self._memory, offset=_WORDS.itemsize
         )
+        self._fast: NDArray[np.void] | None = np.ndarray(
+            (_fast_rows(slots, samples_per_slot),), FAST_DTYPE, self._memory, offset=_size(slots, 1)
+        )
 
     @classmethod
-    def create(cls, slots: int) -> Self:
+    def create(cls, slots: int, samples_per_slot: int = 1) -> Self:
         """A table of empty rows."""
         descriptor = os.memfd_create("servo-bench-slots")
-        os.ftruncate(descriptor, _size(slots))
-        table = cls(descriptor, slots)
-        table.rows[:] = _EMPTY
+        os.ftruncate(descriptor, _size(slots, samples_per_slot))
+        table = cls(descriptor, slots, samples_per_slot)
+        table._set_word("temperature_mc", MISSING)
+        table.rows[:] = _empty(SAMPLE_FIELDS, SAMPLE_DTYPE)
+        table.fast[:] = _empty(FAST_FIELDS, FAST_DTYPE)
         return table
 
     @property
@@ -87,6 +107,13 @@ class SlotTable:
         if self._rows is None:
             raise ValueError("the slot table is closed")
         return self._rows
+
+    @property
+    def fast(self) -> NDArray[np.void]:
+        """The several samples of every slot, shape (slots x samples,); none where it has one."""
+        if self._fast is None:
+            raise ValueError("the slot table is closed")
+        return self._fast
 
     @property
     def done(self) -> int:
@@ -143,6 +170,16 @@ class SlotTable:
         self._set_word("beat_ns", now_ns)
 
     @property
+    def temperature_c(self) -> float | None:
+        """The drive's temperature as its samples told it last; None where they do not."""
+        told = self._word("temperature_mc")
+        return None if told == MISSING else told * 1e-3
+
+    @temperature_c.setter
+    def temperature_c(self, temperature_c: float) -> None:
+        self._set_word("temperature_mc", round(temperature_c * 1e3))
+
+    @property
     def watch_ns(self) -> int:
         """When the supervisor last looked; 0 where none watches."""
         return self._word("watch_ns")
@@ -189,10 +226,18 @@ class SlotTable:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._rows = self._words = None  # memory cannot be unmapped while arrays look at it
+        self._rows = self._fast = self._words = (
+            None  # memory cannot be unmapped while arrays look at it
+        )
         self._memory.close()
         os.close(self.descriptor)
 
 
-def _size(slots: int) -> int:
-    return _WORDS.itemsize + slots * SAMPLE_DTYPE.itemsize
+def _fast_rows(slots: int, samples_per_slot: int) -> int:
+    return slots * samples_per_slot if samples_per_slot > 1 else 0
+
+
+def _size(slots: int, samples_per_slot: int) -> int:
+    rows_bytes = slots * SAMPLE_DTYPE.itemsize
+    fast_bytes = _fast_rows(slots, samples_per_slot) * FAST_DTYPE.itemsize
+    return _WORDS.itemsize + rows_bytes + fast_bytes

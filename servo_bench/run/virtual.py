@@ -6,11 +6,13 @@ plays 168 s. Master, bus loop, limits, and slaves are those of a run on the wire
 sockets, and the machine's own lateness are not there.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.canopen.master import CanopenAxis
 from servo_bench.clock import NS_PER_S
@@ -18,15 +20,15 @@ from servo_bench.errors import BenchError, ConfigError, gathered
 from servo_bench.excitation.experiment import Experiment
 from servo_bench.recording.provenance import clock_pair, provenance
 from servo_bench.recording.recording import (
+    FAST_DTYPE,
     SAMPLE_DTYPE,
-    SAMPLE_FIELDS,
     Event,
     Recording,
     recording_from_rows,
 )
 from servo_bench.recording.writer import RecordingWriter
-from servo_bench.rig import ModbusDriveConfig, RigConfig
-from servo_bench.run.busloop import Player
+from servo_bench.rig import ModbusDriveConfig, RigConfig, SerialEncoderConfig
+from servo_bench.run.busloop import player_for
 from servo_bench.run.limits import check_schedule
 from servo_bench.run.session import check_memory
 from servo_bench.run.table import UNPLAYED, SlotTable
@@ -60,6 +62,11 @@ def play_virtually(experiment: Experiment, rig: RigConfig) -> VirtualRun:
             f"rig {rig.name!r} is on {rig.drive.protocol}, and virtual time speaks CANopen. Play "
             "it on its wire, in wall time."
         )
+    if isinstance(rig.encoder, SerialEncoderConfig):
+        raise ConfigError(
+            f"rig {rig.name!r} has its encoder on a serial line, and virtual time speaks CANopen. "
+            "Play it on its wire, in wall time (servo-bench run --simulated)."
+        )
     schedule = experiment.schedule()
     check_memory(experiment)
     check_schedule(schedule, rig.limits)
@@ -73,31 +80,40 @@ def play_virtually(experiment: Experiment, rig: RigConfig) -> VirtualRun:
     facts = provenance(clock_pair(monotonic=lambda: wire.now_ns)) | {"time": "virtual"}
     settings = rig.model_copy(update={"bus": wire.bus}).canopen_settings(experiment.period_s)
     error: BenchError | None = None
-    with SlotTable.create(schedule.slots) as table:
+    with SlotTable.create(schedule.slots, rig.samples_per_command) as table:
         try:
             with gathered(), CanopenAxis(settings, wire.drivers_clock()) as axis:
                 start_ns = wire.now_ns + round(experiment.period_s * NS_PER_S)
                 tell("playing", "the drive is enabled", start_ns=start_ns)
-                Player(axis, schedule, table, rig.limits, wire.run_clock()).play(start_ns, tell)
+                player_for(rig, axis, schedule, table, wire.run_clock()).play(start_ns, tell)
                 tell("stopping", "the last slot was played")
         except BenchError as failure:
             error = failure
             tell("error", str(failure), error=type(failure).__name__)
         rows = table.rows[table.rows["slot"] != UNPLAYED].copy()
-    return VirtualRun(recording_from_rows(rows, experiment, rig, facts, tuple(events)), error)
+        fast = table.fast[table.fast["slot"] != UNPLAYED].copy()
+    recording = recording_from_rows(rows, experiment, rig, facts, tuple(events), fast=fast)
+    return VirtualRun(recording, error)
 
 
 def save(recording: Recording, path: Path) -> None:
     """Write a run's recording to a new file. RecordingError where it cannot be written."""
     if recording.experiment is None or recording.rig is None:
         raise ConfigError("only a recording with its experiment and its rig is written as a run's.")
-    rows = np.zeros(len(recording), SAMPLE_DTYPE)
-    for name, _ in SAMPLE_FIELDS:
-        rows[name] = recording[name]
+    rows = _rows(recording.channels, SAMPLE_DTYPE)
     per_s = 1.0 / recording.period_s
     with RecordingWriter(
         path, recording.experiment, recording.rig, recording.provenance, per_s
     ) as writer:
+        if recording.fast:
+            writer.fast(_rows(recording.fast, FAST_DTYPE))
         writer.samples(rows)
         for event in recording.events:
             writer.event(event)
+
+
+def _rows(columns: Mapping[str, NDArray[Any]], dtype: "np.dtype[np.void]") -> NDArray[np.void]:
+    rows = np.zeros(len(columns["slot"]), dtype)
+    for name in dtype.names or ():
+        rows[name] = columns.get(name, np.nan)
+    return rows

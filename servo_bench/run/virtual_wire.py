@@ -73,6 +73,10 @@ class VirtualWire:
         """A frame from the master."""
         self._rig.receive(can_id, data, self._now_us)
 
+    def ask(self, can_id: int) -> None:
+        """A remote frame from the master."""
+        self._rig.receive_remote(can_id, self._now_us)
+
     def receive(self, timeout_s: float) -> can.Message | None:
         """The next frame from the rig, or None when so much time has passed."""
         self.pass_until(self.now_ns + round(timeout_s * NS_PER_S), stop_on_frame=True)
@@ -97,7 +101,10 @@ class VirtualBus(can.BusABC):
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
         """Give a frame to the rig."""
-        self._wire.send(msg.arbitration_id, bytes(msg.data))
+        if msg.is_remote_frame:
+            self._wire.ask(msg.arbitration_id)
+        else:
+            self._wire.send(msg.arbitration_id, bytes(msg.data))
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Wait in the wire's own time; for ever is what nobody may wait here."""

@@ -2,6 +2,7 @@
 
 import select
 import socket
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -47,7 +48,11 @@ class BusClock:
 
     def now(self) -> int | None:
         """The present on the bus's clock; None until a frame has told it."""
-        return None if self._offset_us is None else self._monotonic_us() + self._offset_us
+        return self.at(self._monotonic_us())
+
+    def at(self, monotonic_us: int) -> int | None:
+        """A time of this host's clock on the bus's; None until a frame has told it."""
+        return None if self._offset_us is None else monotonic_us + self._offset_us
 
 
 def open_bus(options: BusOptions) -> can.BusABC:
@@ -84,6 +89,7 @@ class RigOnBus:
         self._bus = bus
         self._clock = BusClock()
         self.rig = Rig(settings, plant, self._send)
+        self._lock = threading.Lock()  # for who looks at the machine from another thread
 
     def run(self, stop: Callable[[], bool]) -> None:
         """Answer until `stop()`. Raises SimRigError when the bus is lost."""
@@ -98,7 +104,8 @@ class RigOnBus:
             message = self._bus.recv(wait_us * 1e-6)
             burst = 0
             while message is not None:
-                self._dispatch(message)
+                with self._lock:
+                    self._dispatch(message)
                 burst += 1
                 message = self._bus.recv(0) if burst < _BURST else None
             if not burst and hung_up(self._bus):
@@ -106,14 +113,27 @@ class RigOnBus:
             # A deadline is judged when every frame that has come is heard.
             now_us = self._clock.now()
             if now_us is not None and burst < _BURST:
-                self.rig.tick(now_us)
+                with self._lock:
+                    self.rig.tick(now_us)
         except (can.CanError, OSError) as error:
             raise SimRigError(f"The rig lost its bus: {error}. Start the rig again.") from error
+
+    def load_counts(self, monotonic_us: int) -> int:
+        """The load encoder's count at a time of this host's clock, from any thread."""
+        with self._lock:
+            time_us = self._clock.at(monotonic_us)
+            if time_us is not None:
+                self.rig.machine.advance_to(time_us)
+            return self.rig.encoder.sensor.counts(self.rig.machine.outputs.load_angle_rad)
 
     def _send(self, can_id: int, data: bytes) -> None:
         self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
     def _dispatch(self, message: can.Message) -> None:
         time_us = self._clock.stamp(message.timestamp)
-        if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
+        if message.is_extended_id or message.is_error_frame:
+            return
+        if message.is_remote_frame:
+            self.rig.receive_remote(message.arbitration_id, time_us)
+        else:
             self.rig.receive(message.arbitration_id, bytes(message.data), time_us)

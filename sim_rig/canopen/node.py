@@ -1,4 +1,4 @@
-"""A CANopen slave: NMT, SDO, SYNC and PDOs, heartbeats, emergencies (CiA 301).
+"""A CANopen slave: NMT, SDO, SYNC and PDOs, heartbeats, guarding, emergencies (CiA 301).
 
 The engine has no thread and no clock: frames come in through `receive` with the time the bus
 stamped on them, time passes through `tick`, and what it has to say goes out through `send`. The
@@ -13,8 +13,10 @@ import canopen
 from canopen.emcy import EMCY_STRUCT
 from canopen.sdo.server import SdoServer
 
+from sim_rig.canopen.guarding import Guarding
 from sim_rig.canopen.objects import Abort, ObjectStore, refuse
 from sim_rig.canopen.pdo import EVENT_DRIVEN, LAST_SYNCHRONOUS, Pdo
+from sim_rig.canopen.producer import SyncProducer
 
 NMT_COMMAND = 0x000
 HEARTBEAT = 0x700
@@ -23,7 +25,7 @@ SDO_ANSWER = 0x580
 
 _GENERIC_ERROR = 0x01
 COMMUNICATION_ERROR = 0x10
-_HEARTBEAT_LOST = 0x8130
+_MASTER_LOST = 0x8130
 _PDO_TOO_SHORT = 0x8210
 _REMEMBERED_ERRORS = 4
 
@@ -101,9 +103,10 @@ class Slave:
         self._last_sent: dict[int, bytes] = {}
         self._heartbeat_due_us: int | None = None
         self._master_due_us: int | None = None
+        self._guarding = Guarding(store)
+        self._producer = SyncProducer(store)
         self._time_us = 0
         store.on_write((0x1003, 0), self._clear_errors)
-        store.on_write((0x1005, 0), self._check_sync_cob_id)
         store.on_write((0x1016, 1), self._watch_anew)
         store.on_write((0x1017, 0), self._beat_anew)
 
@@ -134,10 +137,24 @@ class Slave:
         """Lose power for an instant: everything is forgotten, and the boot-up message comes."""
         self._obey(NmtCommand.RESET_NODE, time_us)
 
+    @property
+    def produces_sync(self) -> bool:
+        """Whether SYNC is this node's own."""
+        return self._producer.produces
+
+    def receive_remote(self, can_id: int, time_us: int) -> None:
+        """A remote frame from the bus: the master guards this node."""
+        if can_id == HEARTBEAT + self.node_id:
+            answer = self._guarding.answer(self.nmt, time_us)
+            if answer is not None:
+                self._end_communication_error()
+                self._send(can_id, answer)
+
     def receive(self, can_id: int, data: bytes, time_us: int) -> None:
         """One frame from the bus, stamped `time_us`."""
         self._time_us = time_us
-        if can_id == self.store[0x1005, 0] & 0x7FF:
+        self._producer.see_time(time_us)
+        if can_id == self._producer.cob_id:
             self._synchronise(time_us)
         elif can_id == NMT_COMMAND:
             if len(data) == 2 and data[1] in (0, self.node_id):
@@ -157,18 +174,23 @@ class Slave:
         if self._heartbeat_due_us is not None and now_us >= self._heartbeat_due_us:
             self._send(HEARTBEAT + self.node_id, bytes([self.nmt]))
             self._heartbeat_due_us = self._next(self._heartbeat_due_us, self._beat_us, now_us)
-        if self._master_due_us is not None and now_us >= self._master_due_us:
+        silent = self._master_due_us is not None and now_us >= self._master_due_us
+        if silent:
             self._master_due_us = None
+        if self._guarding.expired(now_us) or silent:
             self._sample(now_us)
-            self.emergency(_HEARTBEAT_LOST, COMMUNICATION_ERROR)
+            self.emergency(_MASTER_LOST, COMMUNICATION_ERROR)
             if self._device is not None:
                 self._device.connection_lost()
+        if self._producer.is_due(now_us) and self.nmt is not NmtState.STOPPED:
+            self._send(self._producer.cob_id, b"")
         if self.nmt is NmtState.OPERATIONAL:
             self._transmit_events(now_us)
 
     def due_us(self) -> int | None:
         """When `tick` has to be called next; None while nothing is planned."""
         timers = [self._heartbeat_due_us, self._master_due_us]
+        timers += [self._guarding.due_us, self._producer.due_us]
         if self.nmt is NmtState.OPERATIONAL:
             timers += [pdo.event_due_us for pdo in self._transmit_pdos]
         return min((due for due in timers if due is not None), default=None)
@@ -233,16 +255,14 @@ class Slave:
         for pdo in self._receive_pdos + self._transmit_pdos:
             pdo.forget()
         self._heartbeat_due_us = self._master_due_us = None
+        self._guarding.forget()
+        self._producer.forget()
         self._syncs = 0
         self._last_sent.clear()
         self._sdo = _sdo_server(self.node_id, self.store, self._send)
         self.boot()
 
     # SYNC and PDOs
-
-    def _check_sync_cob_id(self, value: int) -> None:
-        if value & 0xFFFFF800 or not value:
-            raise refuse(Abort.INVALID_VALUE)
 
     def _synchronise(self, time_us: int) -> None:
         """Sample, tell, and only then do what the master sent since the SYNC before."""
@@ -318,9 +338,13 @@ class Slave:
         timeout_us = (self.store[0x1016, 1] & 0xFFFF) * 1000
         if not timeout_us or not self._watched_node:
             return
-        if self._master_due_us is None and self.store[0x1001, 0] & COMMUNICATION_ERROR:
-            self.emergency_over(COMMUNICATION_ERROR)
+        if self._master_due_us is None:
+            self._end_communication_error()
         self._master_due_us = time_us + timeout_us
+
+    def _end_communication_error(self) -> None:
+        if self.store[0x1001, 0] & COMMUNICATION_ERROR:
+            self.emergency_over(COMMUNICATION_ERROR)
 
     def _clear_errors(self, value: int) -> None:
         if value:

@@ -11,7 +11,7 @@ from sim_rig.canopen.node import Send, Slave
 from sim_rig.canopen.objects import ObjectStore
 from sim_rig.faults.catalogue import make
 from sim_rig.faults.chain import Chain
-from sim_rig.faults.fault import Targets
+from sim_rig.faults.fault import Frame, Targets
 from sim_rig.plant import Plant
 from sim_rig.settings import RigSettings
 
@@ -46,6 +46,7 @@ class Rig:
         self.encoder = encoder406.Encoder(self.encoder_node, self.machine, settings)
         self._slaves = (self.drive_node, self.encoder_node)
         self._last_sync_us = 0
+        self._now_us = 0
         if settings.faults:
             self._chain = self._faulty(settings)
 
@@ -62,15 +63,19 @@ class Rig:
         faults = [
             make(line, targets, settings.seed, place) for place, line in enumerate(settings.faults)
         ]
-        return Chain(
-            faults, self._deliver, self._send, lambda: drive.state is State.OPERATION_ENABLED
-        )
+        return Chain(faults, self._take, self._put, lambda: drive.state is State.OPERATION_ENABLED)
 
     def _outgoing(self, can_id: int, data: bytes) -> None:
         if self._chain is None:
-            self._send(can_id, data)
+            self._put(Frame(can_id, data))
         else:
             self._chain.outgoing(can_id, data)
+
+    def _put(self, frame: Frame) -> None:
+        """A frame onto the bus, and a SYNC of the drive's own to both nodes."""
+        self._send(frame.can_id, frame.data)
+        if frame.can_id == SYNC:
+            self._deliver(SYNC, frame.data, self._now_us)
 
     def boot(self) -> None:
         """Send both boot-up messages."""
@@ -79,10 +84,27 @@ class Rig:
 
     def receive(self, can_id: int, data: bytes, time_us: int) -> None:
         """One frame from the bus, stamped `time_us`."""
+        if can_id == SYNC and self.drive_node.produces_sync:
+            return  # its own, heard again, or somebody else's: a producer follows nobody
+        self._from_bus(Frame(can_id, data), time_us)
+
+    def receive_remote(self, can_id: int, time_us: int) -> None:
+        """One remote frame from the bus, stamped `time_us`."""
+        self._from_bus(Frame(can_id, b"", remote=True), time_us)
+
+    def _from_bus(self, frame: Frame, time_us: int) -> None:
+        self._now_us = time_us
         if self._chain is None:
-            self._deliver(can_id, data, time_us)
+            self._take(frame, time_us)
         else:
-            self._chain.receive(can_id, data, time_us)
+            self._chain.receive(frame, time_us)
+
+    def _take(self, frame: Frame, time_us: int) -> None:
+        if not frame.remote:
+            self._deliver(frame.can_id, frame.data, time_us)
+            return
+        for slave in self._slaves:
+            slave.receive_remote(frame.can_id, time_us)
 
     def _deliver(self, can_id: int, data: bytes, time_us: int) -> None:
         if can_id == SYNC:
@@ -92,6 +114,7 @@ class Rig:
 
     def tick(self, now_us: int) -> None:
         """Do what is due by now; to be called when all frames that have come are received."""
+        self._now_us = now_us
         if self._chain is not None:
             self._chain.tick(now_us)
         if self._is_quiet(now_us):

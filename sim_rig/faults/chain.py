@@ -13,8 +13,8 @@ from sim_rig.faults.fault import Fault, Frame
 from sim_rig.faults.frames import SYNC
 from sim_rig.faults.sdo_abort import SdoAbort
 
-Deliver = Callable[[int, bytes, int], None]
-Send = Callable[[int, bytes], None]
+Deliver = Callable[[Frame, int], None]
+Send = Callable[[Frame], None]
 
 _NMT = 0x000
 _END_OF_RUN = frozenset({0x80, 0x81, 0x82})
@@ -40,14 +40,14 @@ class Chain:
         self._number = 0
         self._last_due_us: dict[int, int] = {}
 
-    def receive(self, can_id: int, data: bytes, time_us: int) -> None:
+    def receive(self, came: Frame, time_us: int) -> None:
         """A frame from the bus."""
         self._set_time(time_us)
-        if can_id == SYNC:
+        if came.can_id == SYNC:
             self._count()
-        elif can_id == _NMT and len(data) == 2 and data[0] in _END_OF_RUN:
+        elif came.can_id == _NMT and len(came.data) == 2 and came.data[0] in _END_OF_RUN:
             self._end_run()
-        frames = [Frame(can_id, data)]
+        frames = [came]
         for fault in self._faults:
             frames = [left for frame in frames for left in fault.incoming(frame)]
             if isinstance(fault, SdoAbort) and (answer := fault.take_answer()):
@@ -56,7 +56,9 @@ class Chain:
             self._pass(frame, incoming=True)
 
     def outgoing(self, can_id: int, data: bytes) -> None:
-        """A frame from a node."""
+        """A frame from a node; a SYNC of its own counts as any."""
+        if can_id == SYNC:
+            self._count()
         frames = [Frame(can_id, data)]
         for fault in self._faults:
             frames = [left for frame in frames for left in fault.outgoing(frame)]
@@ -69,9 +71,9 @@ class Chain:
         while self._waiting and self._waiting[0][0] <= now_us:
             due_us, _, incoming, frame = heapq.heappop(self._waiting)
             if incoming:
-                self._deliver(frame.can_id, frame.data, due_us)
+                self._deliver(frame, due_us)
             else:
-                self._send(frame.can_id, frame.data)
+                self._send(frame)
 
     def due_us(self) -> int | None:
         """When `tick` has to be called next; None while nothing waits."""
@@ -90,9 +92,9 @@ class Chain:
             self._last_due_us[frame.can_id] = due_us
             heapq.heappush(self._waiting, (due_us, self._number, incoming, frame))
         elif incoming:
-            self._deliver(frame.can_id, frame.data, self._now_us)
+            self._deliver(frame, self._now_us)
         else:
-            self._send(frame.can_id, frame.data)
+            self._send(frame)
 
     def _count(self) -> None:
         if self._syncs is None:

@@ -16,11 +16,12 @@ Values = dict[str, int | float | str]
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A frame on its way, and how long it is held up."""
+    """A frame on its way, and how long it is held up; a `remote` one only asks."""
 
     can_id: int
     data: bytes
     delay_us: int = 0
+    remote: bool = False
 
     def later(self, delay_us: int) -> "Frame":
         """The same frame, held up for so much longer."""

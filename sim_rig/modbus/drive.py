@@ -43,15 +43,22 @@ class ModbusDrive:
         mode = drive402.CYCLIC_SYNCHRONOUS_VELOCITY
         self._store.set_data(0x6060, 0, bytes([mode]))
         self._load_counts = settings.load_counts_per_revolution
+        self._temperature = round(10.0 * settings.drive_temperature_c)
         self._timeout_us = 0
         self._last_request_us: int | None = None
         orders = [parse(line) for line in settings.faults]
         self.outgoing = Answers(
-            orders, rtu=settings.protocol == "modbus-rtu", enabled=self._is_enabled
+            orders, rtu=settings.protocol == "modbus-rtu", enabled=self.is_enabled
         )
 
-    def _is_enabled(self) -> bool:
+    def is_enabled(self) -> bool:
+        """Whether the power stage is on."""
         return self._drive.state is State.OPERATION_ENABLED
+
+    def load_counts(self, time_us: int) -> int:
+        """The load encoder's count at a time, for a device that is not on this line."""
+        self._machine.advance_to(time_us)
+        return self._drive.load_sensor.counts(self._machine.outputs.load_angle_rad)
 
     def request_arrived(self, time_us: int) -> None:
         """A request's last byte came at `time_us`: the machine is brought there."""
@@ -133,18 +140,16 @@ class ModbusDrive:
         return None
 
     def _value(self, entry: Entry) -> int:
-        match entry.behind:
-            case Own.VENDOR:
-                return VENDOR
-            case Own.PRODUCT:
-                return PRODUCT
-            case Own.TIMEOUT:
-                return self._timeout_us // 1000
-            case Own.LOAD_COUNTS:
-                return self._load_counts
-            case Own.SPARE:
-                return 0
-        return self._store[entry.behind]
+        if not isinstance(entry.behind, Own):
+            return self._store[entry.behind]
+        return {
+            Own.VENDOR: VENDOR,
+            Own.PRODUCT: PRODUCT,
+            Own.TIMEOUT: self._timeout_us // 1000,
+            Own.LOAD_COUNTS: self._load_counts,
+            Own.TEMPERATURE: self._temperature & 0xFFFF,
+            Own.SPARE: 0,
+        }[entry.behind]
 
     def _set(self, entry: Entry, data: bytes) -> ExcCodes | None:
         if isinstance(entry.behind, Own):

@@ -4,13 +4,16 @@ import asyncio
 import selectors
 import time
 from collections.abc import Callable
-from contextlib import AbstractAsyncContextManager
+from contextlib import AbstractAsyncContextManager, AsyncExitStack
+from dataclasses import replace
 from typing import Any
 
+from sim_rig.counter import line as counter_line
+from sim_rig.counter.box import box_of
 from sim_rig.modbus import line, tcp
 from sim_rig.modbus.drive import ModbusDrive
 from sim_rig.plant import Plant
-from sim_rig.settings import RigSettings
+from sim_rig.settings import ENCODER_DEVICE, RigSettings
 
 
 def serve(
@@ -38,14 +41,19 @@ async def _serve(
     ready: Callable[[dict[str, Any]], None],
     stop: Callable[[], bool],
 ) -> None:
-    drive = ModbusDrive(settings, plant)
+    drive = ModbusDrive(replace(settings, faults=settings.wire_faults), plant)
     listening: AbstractAsyncContextManager[dict[str, Any]] = (
         tcp.listening(drive, settings.bus)
         if settings.protocol == "modbus-tcp"
         else line.listening(drive, settings.bus)
     )
-    async with listening as where:
-        ready({**settings.bus, **where})
+    async with listening as where, AsyncExitStack() as leaving:
+        told = {**settings.bus, **where}
+        if settings.counter is not None:
+            box = box_of(settings, drive.load_counts, drive.is_enabled)
+            at = counter_line.listening(box, settings.counter)
+            told[ENCODER_DEVICE] = await leaving.enter_async_context(at)
+        ready(told)
         while not stop():
             now_us = time.monotonic_ns() // 1000
             drive.tick(now_us)

@@ -10,7 +10,8 @@
     0x0018  rated current, mA          0x6075   (2)     0x0209  torque, per mille   0x6077
     0x001A  quick stop option          0x605A           0x020A  current, per mille  0x6078
     0x001C  quick stop deceleration    0x6085   (2)     0x020B  error code          0x603F
-                                                        0x020C  spare, reads 0      (3)
+                                                        0x020C  temperature, 0.1 degrees
+                                                        0x020D  spare, reads 0      (3)
 
 (2) are two registers, high word first; both must be written in one request. Increments are counts
 of the motor encoder. The same registers answer as holding and as input registers.
@@ -30,6 +31,7 @@ class Own(Enum):
     PRODUCT = "product"
     TIMEOUT = "communication timeout"
     LOAD_COUNTS = "load counts per revolution"
+    TEMPERATURE = "drive temperature"
     SPARE = "spare"
 
 
@@ -71,7 +73,8 @@ TABLE = (
     Entry(0x0209, 1, (0x6077, 0)),
     Entry(0x020A, 1, (0x6078, 0)),
     Entry(0x020B, 1, (0x603F, 0)),
-    Entry(0x020C, 3, Own.SPARE),
+    Entry(0x020C, 1, Own.TEMPERATURE),
+    Entry(0x020D, 3, Own.SPARE),
 )
 BY_REGISTER = {register: entry for entry in TABLE for register in range(entry.address, entry.end)}
 

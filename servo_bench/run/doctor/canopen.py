@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from drivers.canopen import cia402
-from drivers.canopen.budget import BIT_RATES, FULL, bus_budget, frame_bits
+from drivers.canopen.budget import BIT_RATES, FULL, HOLDS, REMEDY, bus_budget, frame_bits
+from drivers.canopen.guarding import LIFE_TIME_FACTOR, carries_remote_frames
 from drivers.canopen.line import Line, open_bus
 from drivers.canopen.listening import refuse_another_master
 from drivers.canopen.node import Node
@@ -29,7 +30,7 @@ def opened(settings: CanopenSettings) -> Iterator[Line]:
         line = Line(open_bus(settings.bus))
     try:
         with gathered():
-            refuse_another_master(line, settings.master_node_id)
+            refuse_another_master(line, settings)
             yield line
     finally:
         line.bus.shutdown()
@@ -72,7 +73,9 @@ def _load(line: Line, settings: CanopenSettings) -> Finding:
         f"{100 * load:.0f} % at {rate // 1000} kbit/s"
         for load, rate in zip(loads, rates, strict=True)
     )
-    text = f"{settings.period_s * 1e3:g} ms and what is on the bus already: {text}"
+    text = f"SYNC every {settings.period_s * 1e3:g} ms and what is on the bus already: {text}"
+    if min(loads) > HOLDS:
+        return stop("bus load", f"{text}: it does not hold. {REMEDY}")
     if configured and loads[0] > FULL:
         return change("bus load", f"{text}: raise the bit rate, or lengthen the period.")
     return ok("bus load", f"{text}.")
@@ -191,7 +194,18 @@ def _errors(node: Node) -> list[Finding]:
 def _watchdog(node: Node, settings: CanopenSettings) -> Finding:
     drive = settings.drive
     kind = drive.profile.stopping.watchdog
-    address = {"heartbeat": (0x1016, 1), "rpdo-timer": (0x1400, 5)}.get(kind)
+    address = {
+        "heartbeat": (0x1016, 1),
+        "node-guarding": LIFE_TIME_FACTOR,
+        "rpdo-timer": (0x1400, 5),
+    }.get(kind)
+    if kind == "node-guarding" and not carries_remote_frames(settings.bus):
+        interface = settings.bus.get("interface")
+        return stop(
+            "own stop",
+            f"its profile has node guarding, and python-can's interface {interface} carries no "
+            "remote frames: use another interface, or a profile with another watchdog.",
+        )
     if address is not None and node.writable(*address):
         return ok(
             "own stop",

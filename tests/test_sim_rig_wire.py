@@ -70,8 +70,9 @@ def test_the_python_canopen_library_knows_it(rig: SpawnedRig) -> None:
         state.cob_id, state.trans_type, state.enabled = 0x1A0, 1, True
         state.save()
         drive.nmt.state = "OPERATIONAL"
-        network.sync.transmit()
+        network.sync.start(0.02)  # one SYNC's answer may be there before it is waited for
         assert state.wait_for_reception(timeout=5.0) is not None
+        network.sync.stop()
         assert state[0x6041].raw & 0x6F == 0x40
         with pytest.raises(canopen.SdoAbortedError) as refused:
             drive.sdo[0x60C2][2].raw = -4

@@ -247,6 +247,7 @@ class Playing:
         self.asked = type("Asked", (), {"id": run_id})
 
 
+@pytest.mark.long
 def test_a_recording_is_truly_diagnosed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """From the file to the verdict in the catalogue, on seconds of data."""
     save(small_run(), tmp_path / "made.mcap")

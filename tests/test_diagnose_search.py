@@ -88,6 +88,7 @@ def test_an_interval_is_wider_than_the_sandwich_and_than_what_every_rig_has(
     assert quantity.ci95[0] < COGGING_NM < quantity.ci95[1]
 
 
+@pytest.mark.long
 def test_what_is_held_out_has_no_part_in_the_verdict() -> None:
     """Another rig's recording as hold-out: the same causes and numbers, and another gain."""
     hidden = MODEL.with_effect("cogging", torque_nm=COGGING_NM, order=ORDER)

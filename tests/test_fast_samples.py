@@ -237,6 +237,7 @@ def test_the_drive_is_told_both_periods() -> None:
     assert replace(settings, command_every=1).command_period_s == pytest.approx(0.001)
 
 
+@pytest.mark.long
 @pytest.mark.wire
 def test_on_a_real_bus_at_a_millisecond(tmp_path: Path) -> None:
     rig = of(samples_per_command=8).on_a_free_port()

@@ -293,6 +293,7 @@ def test_it_is_refused_where_the_profile_or_the_drive_has_it_not(
     assert not other_fake.drive.enabled
 
 
+@pytest.mark.long
 @pytest.mark.wire
 def test_on_a_real_bus_the_bench_follows_the_rigs_sync(tmp_path: Path) -> None:
     samples = 4

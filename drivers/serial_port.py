@@ -1,7 +1,8 @@
-"""Opening a serial device with errors in words; what is read and written is each driver's own."""
+"""Opening and reading a serial device with errors in words; what it means is each driver's own."""
 
 import os
 import termios
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -52,3 +53,16 @@ def open_port(
     with suppress(NotImplementedError, ValueError, OSError):
         port.set_low_latency_mode(True)  # else USB adapters hold bytes back for 16 ms
     return port
+
+
+def read_now(port: Any, most: int, gone: Callable[[object], Exception]) -> bytes:
+    """What has come, at most so many bytes; empty where nothing has. Raises `gone(why)`."""
+    try:
+        data = os.read(port.fileno(), most)
+    except BlockingIOError:
+        return b""
+    except OSError as error:
+        raise gone(error) from error
+    if not data:
+        raise gone("the device has been unplugged or closed")
+    return data

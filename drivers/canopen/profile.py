@@ -9,9 +9,7 @@ Two names stand for objects that depend on the rig: `load_position` is the drive
 (0x60E4:n) where the rig's load angle comes from there, `current` is `[units.current]`'s object.
 """
 
-import tomllib
 from functools import cache
-from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
 from pydantic import (
@@ -19,14 +17,13 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
-    ValidationError,
     WithJsonSchema,
     model_validator,
 )
 
-from drivers.errors import SettingsError
+from drivers.profile_file import PROFILES, read_profile, shipped_names
 
-SHIPPED = Path(__file__).parent.parent / "profiles" / "canopen"
+SHIPPED = PROFILES / "canopen"
 GENERIC = "generic"
 
 Address: TypeAlias = tuple[int, int]
@@ -245,7 +242,7 @@ class DriveProfile(_Table):
 
 def profile_names() -> tuple[str, ...]:
     """The profiles that ship, by name."""
-    return tuple(sorted(path.stem for path in SHIPPED.glob("*.toml")))
+    return shipped_names(SHIPPED)
 
 
 @cache
@@ -254,24 +251,7 @@ def load_profile(name: str) -> DriveProfile:
 
     Raises SettingsError where there is none, or where it says what a profile cannot.
     """
-    path = Path(name) if name.endswith(".toml") else SHIPPED / f"{name}.toml"
-    try:
-        table = tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise SettingsError(
-            f"there is no drive profile {name!r} ({error.strerror}: {path}). Choose one of "
-            f"{', '.join(profile_names())}, or give the path of a TOML file."
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SettingsError(f"{path} is not TOML: {error}. Mend that line.") from error
-    try:
-        return DriveProfile.model_validate(table)
-    except ValidationError as error:
-        reasons = "; ".join(
-            f"{'.'.join(str(part) for part in item['loc']) or '(file)'}: {item['msg']}"
-            for item in error.errors(include_url=False)
-        )
-        raise SettingsError(f"{path} is no drive profile: {reasons}. Correct these.") from error
+    return read_profile(name, "drive profile", SHIPPED, DriveProfile.model_validate)
 
 
 def generic() -> DriveProfile:

@@ -31,7 +31,7 @@ from drivers.counter.settings import CounterSettings
 from drivers.errors import WireError
 from drivers.modbus.link import readable
 from drivers.modbus.watch import Watch
-from drivers.serial_port import open_port
+from drivers.serial_port import open_port, read_now
 
 _READ_BYTES = 4096
 _GREETINGS = 20
@@ -211,14 +211,7 @@ class SerialCounter:
         return readable(self._port.fileno(), until_ns, self._clock)
 
     def _read(self) -> None:
-        try:
-            data = os.read(self._port.fileno(), _READ_BYTES)
-        except BlockingIOError:
-            return
-        except OSError as error:
-            raise self._gone(error) from error
-        if not data:
-            raise self._gone("the device has been unplugged or closed")
+        data = read_now(self._port, _READ_BYTES, self._gone)
         self._buffer += data
         del self._buffer[: -4 * self._answers.size]
 

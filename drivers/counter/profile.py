@@ -11,19 +11,17 @@
 A new framing needs such a file and no code: `[encoder] profile = "my-counter.toml"`.
 """
 
-import tomllib
 from functools import cache
-from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from drivers.counter.frames import Frame, Part
-from drivers.errors import SettingsError
 from drivers.modbus.profile import Bits
 from drivers.modbus.registers import Table
+from drivers.profile_file import PROFILES, read_profile, shipped_names
 
-SHIPPED = Path(__file__).parent.parent / "profiles" / "counter"
+SHIPPED = PROFILES / "counter"
 GENERIC = "generic-binary"
 LONGEST_FRAME = 64
 Parity = Literal["N", "E", "O"]
@@ -132,7 +130,7 @@ class CounterProfile(Table):
 
 def profile_names() -> tuple[str, ...]:
     """The profiles that ship, by name."""
-    return tuple(sorted(path.stem for path in SHIPPED.glob("*.toml")))
+    return shipped_names(SHIPPED)
 
 
 @cache
@@ -141,21 +139,4 @@ def load_profile(name: str) -> CounterProfile:
 
     Raises SettingsError where there is none, or where it says what a profile cannot.
     """
-    path = Path(name) if name.endswith(".toml") else SHIPPED / f"{name}.toml"
-    try:
-        table = tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise SettingsError(
-            f"there is no counter profile {name!r} ({error.strerror}: {path}). Choose one of "
-            f"{', '.join(profile_names())}, or give the path of a TOML file."
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SettingsError(f"{path} is not TOML: {error}. Mend that line.") from error
-    try:
-        return CounterProfile.model_validate(table)
-    except ValidationError as error:
-        reasons = "; ".join(
-            f"{'.'.join(str(part) for part in item['loc']) or '(file)'}: {item['msg']}"
-            for item in error.errors(include_url=False)
-        )
-        raise SettingsError(f"{path} is no counter profile: {reasons}. Correct these.") from error
+    return read_profile(name, "counter profile", SHIPPED, CounterProfile.model_validate)

@@ -25,7 +25,7 @@ from drivers.errors import WireError
 from drivers.modbus.frames import EXCEPTION_BYTES, answer_bytes, belongs, words_asked
 from drivers.modbus.lines import RtuLine
 from drivers.modbus.link import Reply, readable
-from drivers.serial_port import open_port
+from drivers.serial_port import open_port, read_now
 
 _LONGEST = 256
 _HEAD = 3
@@ -111,14 +111,9 @@ class RtuLink:
         raise self._gone("the line is never silent: somebody else talks on it")
 
     def _read(self) -> None:
-        try:
-            data = os.read(self._port.fileno(), _LONGEST)
-        except BlockingIOError:
-            return
-        except OSError as error:
-            raise self._gone(error) from error
+        data = read_now(self._port, _LONGEST, self._gone)
         if not data:
-            raise self._gone("the device has been unplugged or closed")
+            return
         self._busy_until_ns = self._clock.now_ns()
         self._buffer += data
         del self._buffer[: -2 * _LONGEST]

@@ -20,6 +20,7 @@ from servo_bench.diagnosis.elsewhere.channels import (
     stretches,
     torque_of,
 )
+from servo_bench.diagnosis.twist import compare_locked
 from servo_bench.errors import ConfigError, FitError
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
@@ -73,8 +74,6 @@ def starting_model(recording: Recording) -> Model:
 
 def _locked(recording: Recording) -> Model:
     """Half of the range a gap, half a spring, and a tenth of the torque friction."""
-    from servo_bench.diagnosis.twist import compare_locked  # noqa: PLC0415 - it knows the runs
-
     seen = compare_locked(recording)
     plant = recording.plant
     twist, peak = float(np.ptp(seen.measured)), float(np.abs(seen.torque).max())

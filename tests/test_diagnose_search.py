@@ -68,11 +68,37 @@ def test_a_signal_that_is_all_wrong_is_weighed_by_what_may_be_missed() -> None:
 
 def test_friction_that_was_found_is_not_added_to_but_called_cold() -> None:
     model = MODEL.with_effect("coulomb", torque_nm=0.02, transition_rad_s=0.05)
-    tried = Trial("thermal_friction", {"cold_torque_nm": 0.015}, 0.015).on(model)
+    tried = Trial("thermal_friction", {"cold_torque_nm": 0.015}, 0.015, swapped=1.0).on(model)
     assert tried.effects["coulomb"].torque_nm == pytest.approx(0.005)
     assert tried.effects["thermal_friction"].transition_rad_s == pytest.approx(0.05)
-    more = Trial("thermal_friction", {"cold_torque_nm": 0.05}, 0.05).on(model)
+    more = Trial("thermal_friction", {"cold_torque_nm": 0.05}, 0.05, swapped=1.0).on(model)
     assert more.effects["coulomb"].torque_nm == pytest.approx(0.02)
+
+
+def test_numbers_that_change_nearly_the_same_are_sought_apart() -> None:
+    """In 7 s of a warming of 600 s, cold friction differs from Coulomb friction by a half per cent:
+    the search begins with all of it called Coulomb."""
+    cold_nm, warm_nm, share = 0.02, 0.01, float(np.exp(-3.6 / 600.0))
+    hidden = MODEL.with_effect("coulomb", torque_nm=warm_nm).with_effect(
+        "thermal_friction", cold_torque_nm=cold_nm
+    )
+    seen = evidence(23, hidden)
+    start = MODEL.with_effect("coulomb", torque_nm=warm_nm + share * cold_nm)
+    free = (
+        Unknown("coulomb", "torque_nm", 0.0, 1.0, step=0.005),
+        Unknown(
+            *("thermal_friction", "cold_torque_nm", 0.0, 1.0),
+            step=0.01,
+            carries="coulomb.torque_nm",
+            share=share,
+        ),
+    )
+    found = seek(seen, start, free, seen.floors, iterations=6, coarse=False)
+    assert found.value("thermal_friction.cold_torque_nm") == pytest.approx(cold_nm, rel=0.1)
+    assert found.value("coulomb.torque_nm") == found.model.effects["coulomb"].torque_nm
+    moved = roam(seen, found, {"thermal_friction"}, coarse=False, batches=1)
+    assert moved.value("coulomb.torque_nm") == moved.model.effects["coulomb"].torque_nm
+    assert seen.seen([moved.model], coarse=False)[0].cost(seen.floors) == pytest.approx(moved.cost)
 
 
 def test_an_interval_is_wider_than_the_sandwich_and_than_what_every_rig_has(

@@ -253,7 +253,7 @@ def _at_smallest(
     phase = float(trial.settings.get("phase_rad", 0.0))
     for turned in (phase, phase + 0.5 * np.pi):
         settings = {**trial.settings, "phase_rad": turned}
-        yield Trial(trial.effect, settings, trial.size, trial.beside)
+        yield replace(trial, settings=settings)
 
 
 def _size(several: Array) -> float:

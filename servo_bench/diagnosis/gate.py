@@ -35,7 +35,7 @@ def material_sizes(s: Scales) -> dict[str, float]:
         "pre_sliding": 0.08 * tau,
         "asymmetric_friction": 0.01 * tau,
         "position_friction": 0.02 * tau,
-        "thermal_friction": 0.04 * tau,
+        "thermal_friction": 0.02 * tau,
         "load_dependent_friction": 0.012,
         "cogging": 0.015 * tau,
         "torque_ripple": 0.005,
@@ -64,7 +64,7 @@ def material_sizes(s: Scales) -> dict[str, float]:
     }
 
 
-SPRINGS, GIVE = frozenset({"contact", "coupling_compliance"}), 0.02
+SPRINGS, GIVE = frozenset({"contact", "coupling_compliance"}), 0.1
 """Every shaft and face gives way: worth a name where that takes so much of the held-out cost."""
 
 

@@ -10,13 +10,13 @@ a mass of its own (contact), which is then the vehicle, and a cause only where i
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from servo_bench.diagnosis.unknowns import Unknown, widened
-from sim_rig.effects import catalogue, find_effect
+from sim_rig.effects import catalogue, find_effect, thermal_friction
 from sim_rig.effects.effect import Effect
 from sim_rig.model import Model, Simulated
 
@@ -49,6 +49,7 @@ class Scales(NamedTuple):
     jump_rad_s: float
     gap_rad: float
     inertia_kg_m2: float
+    seconds: float = 0.0
 
 
 def scales_of(model: Model, commands_rad_s: np.ndarray, done: Simulated) -> Scales:
@@ -70,6 +71,7 @@ def scales_of(model: Model, commands_rad_s: np.ndarray, done: Simulated) -> Scal
         jump_rad_s=max(float(np.sqrt(np.mean(jumps**2))) if jumps.size else 0.0, 1e-9),
         gap_rad=nominal.backlash_gap_rad,
         inertia_kg_m2=nominal.inertia_kg_m2,
+        seconds=done.end.time_s,
     )
 
 
@@ -80,12 +82,16 @@ def _quantiles(values: np.ndarray, at: Sequence[float]) -> tuple[float, float, f
 
 @dataclass(frozen=True)
 class Trial:
-    """One setting of an effect; `beside` are effects that carry it; `size` that of its strength."""
+    """One setting of an effect; `beside` are effects that carry it; `size` that of its strength.
+
+    `swapped`: so much of its torque is taken from the Coulomb friction that was found.
+    """
 
     effect: str
     settings: Table
     size: float
     beside: Mapping[str, Table] = field(default_factory=dict)
+    swapped: float = 0.0
 
     def on(self, model: Model) -> Model:
         """The model with it. Raises EffectError where it makes none."""
@@ -98,26 +104,26 @@ class Trial:
         if self.effect in SHARP and "coulomb" in model.effects:
             known = float(model.effects["coulomb"].transition_rad_s)
             settings["transition_rad_s"] = min(settings["transition_rad_s"], known)
-        if self.effect == "thermal_friction":
-            model = _warm(model, settings["cold_torque_nm"])
+        if self.swapped:
+            model = _warm(model, self.swapped * settings["cold_torque_nm"])
         return model.with_effect(self.effect, **settings)
 
     def times(self, share: float) -> "Trial":
         """So many times as strong."""
         strength = next(iter(self.settings))
         value = self.settings[strength] * share
-        return Trial(self.effect, {**self.settings, strength: value}, abs(value), self.beside)
+        return replace(self, settings={**self.settings, strength: value}, size=abs(value))
 
 
-def _warm(model: Model, cold_torque_nm: float) -> Model:
+def _warm(model: Model, taken_nm: float) -> Model:
     """Of the Coulomb friction that was found, so much is the cold's: the rest is tried beside it.
 
     Added to what was found it would only show that there is enough of it.
     """
     coulomb = model.effects.get("coulomb")
-    if coulomb is None or coulomb.torque_nm < cold_torque_nm:
+    if coulomb is None or coulomb.torque_nm < taken_nm:
         return model
-    table = {**coulomb._asdict(), "torque_nm": float(coulomb.torque_nm) - cold_torque_nm}
+    table = {**coulomb._asdict(), "torque_nm": float(coulomb.torque_nm) - taken_nm}
     return model.with_effect("coulomb", **table)
 
 
@@ -134,6 +140,8 @@ class Hypothesis:
         found = list(widened(self.effect, self.free, model, trial.size))
         for name in trial.beside:
             found += widened(name, _FREE[name], model, 1.0)
+        if trial.swapped:
+            found[0] = replace(found[0], carries="coulomb.torque_nm", share=trial.swapped)
         return tuple(found)
 
 
@@ -192,9 +200,15 @@ def _trials(
 ) -> Iterator[Trial]:
     sizes = _sizes(effect, scales)
     strength = effect.strengths[0]
+    swapped = _mean_warmth(scales) if effect.name == "thermal_friction" else 0.0
     for choice, beside in _choices(effect.name, scales, orders):
         for size in sizes:
-            yield Trial(effect.name, {strength: size, **choice}, abs(size), beside)
+            yield Trial(effect.name, {strength: size, **choice}, abs(size), beside, swapped)
+
+
+def _mean_warmth(s: Scales) -> float:
+    """How much of the cold's friction is there on the average of the record."""
+    return float(np.exp(-0.5 * s.seconds / thermal_friction.Params().warming_s))
 
 
 def _sizes(effect: Effect, s: Scales) -> tuple[float, ...]:
@@ -225,7 +239,7 @@ def _sizes(effect: Effect, s: Scales) -> tuple[float, ...]:
         "command_deadband": tuple(k * s.command_rad_s for k in (0.03, 0.1, 0.25)),
         "command_scale": (-0.005, 0.005),
         "command_offset": tuple(k * s.command_rad_s for k in (-0.1, -0.02, 0.02, 0.1)),
-        "clock_skew": (1e-5, 5e-5),
+        "clock_skew": (-5e-5, -1e-5, 1e-5, 5e-5),
         "backlash_width": (-0.2 * gap, -0.06 * gap, 0.06 * gap, 0.2 * gap),
         "position_backlash": (0.1 * gap, 0.3 * gap),
         "contact": (2e-3, 2e-2, 0.1),

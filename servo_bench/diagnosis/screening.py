@@ -9,6 +9,7 @@ phase spans two templates, and is linear enough to be taken whole).
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -79,7 +80,7 @@ def _phased(hypothesis: Hypothesis) -> list[tuple[Trial, ...]]:
 
 def _turned(trial: Trial, phase_rad: float) -> Trial:
     settings = {**trial.settings, "phase_rad": float(phase_rad)}
-    return Trial(trial.effect, settings, trial.size, trial.beside)
+    return replace(trial, settings=settings)
 
 
 def _at_phase(trial: Trial, amounts: Array) -> Trial:
@@ -88,7 +89,7 @@ def _at_phase(trial: Trial, amounts: Array) -> Trial:
     phase = float(np.arctan2(amounts[1], amounts[0]))
     scaled = trial.times(float(np.clip(size, 0.02, 20.0)))
     settings = {**scaled.settings, "phase_rad": phase}
-    return Trial(trial.effect, settings, scaled.size, trial.beside)
+    return replace(scaled, settings=settings)
 
 
 class _Projected:

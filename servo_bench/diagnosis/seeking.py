@@ -95,7 +95,26 @@ def seek(
         if quiet == 2:
             break
     found = put_all(model, free, list(values))
-    return Found(found, free, values, errors, weigh, jacobian, cost, quiet > 0 or not free)
+    settled = quiet > 0 or not free
+    values, jacobian = _apart(free, found, values), _own_columns(free, jacobian)
+    return Found(found, free, values, errors, weigh, jacobian, cost, settled)
+
+
+def _apart(unknowns: Sequence[Unknown], model: Model, values: Array) -> Array:
+    """The numbers as they are in the model: one that another carries was put before that."""
+    carried = {u.carries for u in unknowns}
+    pairs = zip(unknowns, values, strict=True)
+    return np.array([u.of(model) if u.name in carried else float(v) for u, v in pairs])
+
+
+def _own_columns(unknowns: Sequence[Unknown], jacobian: Array) -> Array:
+    """Secants of every number alone: what it carried along is put back."""
+    columns = {u.name: k for k, u in enumerate(unknowns)}
+    own = jacobian.copy()
+    for k, unknown in enumerate(unknowns):
+        if unknown.carries in columns:
+            own[:, k] += unknown.share * jacobian[:, columns[unknown.carries]]
+    return own
 
 
 def settle(
@@ -154,7 +173,7 @@ def roam(
         else:
             spread *= NARROWER
     model = put_all(found.model, free, list(values))
-    return found._replace(model=model, values=values, errors=errors, cost=cost)
+    return found._replace(model=model, values=_apart(free, model, values), errors=errors, cost=cost)
 
 
 def _own_deviation(unknowns: Sequence[Unknown], values: Array) -> Array:

@@ -6,8 +6,8 @@ excitation asks of the nominal rig), and is freed in every fit:
 
     coulomb                 0 .. 4 % of tau            current_loop_lag      0 .. 0.1 ms
     viscous                 0 .. 0.5 % of tau/omega    velocity_filter_lag   0 .. 0.25 ms
-    torque_constant_error   -1 .. 1 %                  transport_delay       0 .. 0.13 ms
-    inertia_error           -1 .. 1 %                  backlash_width        -1 .. 1 mrad, 5 %
+    torque_constant_error   -0.5 .. 0.5 %   transport_delay       0 .. 0.13 ms
+    inertia_error           -0.5 .. 0.5 %   backlash_width        -1 .. 1 mrad, 5 %
 
 A cause of the same name is one that leaves its band.
 """
@@ -27,6 +27,8 @@ class Unknown:
     """One number that is sought between `low` and `high`, in steps of `step`.
 
     `centre` and `deviation` are what is believed; an infinite deviation believes nothing.
+    What changes nearly the same as another number `carries` that one: putting it takes `share` of
+    the change off there, so that the two can be sought apart (see `seeking`).
     """
 
     effect: str
@@ -37,6 +39,8 @@ class Unknown:
     centre: float = 0.0
     deviation: float = np.inf
     circular: bool = False
+    carries: str = ""
+    share: float = 0.0
 
     @property
     def name(self) -> str:
@@ -51,8 +55,16 @@ class Unknown:
     def put(self, model: Model, value: float) -> Model:
         """The model with another value."""
         params = model.effects.get(self.effect, find_effect(self.effect).params())
+        if self.carries:
+            model = self._carried(model, self.share * (value - self.of(model)))
         changed = params._replace(**{self.field: value})
         return replace(model, effects={**model.effects, self.effect: changed})
+
+    def _carried(self, model: Model, taken: float) -> Model:
+        effect, field = self.carries.split(".")
+        params = model.effects.get(effect, find_effect(effect).params())
+        left = max(float(getattr(params, field)) - taken, 0.0)
+        return replace(model, effects={**model.effects, effect: params._replace(**{field: left})})
 
 
 def nuisances(torque_rms_nm: float, speed_rms_rad_s: float, gap_rad: float) -> tuple[Unknown, ...]:
@@ -66,8 +78,8 @@ def nuisances(torque_rms_nm: float, speed_rms_rad_s: float, gap_rad: float) -> t
         ("current_loop_lag", "lag_s", 0.0, 1e-4),
         ("velocity_filter_lag", "lag_s", 0.0, 2.5e-4),
         ("transport_delay", "delay_s", 0.0, 1.3e-4),
-        ("torque_constant_error", "error_fraction", -0.01, 0.01),
-        ("inertia_error", "error_fraction", -0.01, 0.01),
+        ("torque_constant_error", "error_fraction", -0.005, 0.005),
+        ("inertia_error", "error_fraction", -0.005, 0.005),
         *((("backlash_width", "change_rad", -gap, gap),) if gap > 0.0 else ()),
     )
     return tuple(_band(*band) for band in bands)

@@ -1,17 +1,16 @@
-"""Clock skew: the rig's clock and the logger's run apart, and the command falls behind.
+"""Clock skew: the rig's clock and the logger's run apart, and the command falls behind or ahead.
 
-    D(t) = max(k t, 0)
+    D(t) = k t
 
 k  skew_fraction   relative difference of the clocks, 1e-6 is 1 ppm
 D  -               how much later than the logger believes a command acts
 
-A command cannot act before it was sent: with the other sign it acts at once, and it is the samples
-that come late.
+With k < 0 it is the samples that come late, and the next command may act before the logger
+believes it sent. A schedule that is known whole is played so (see `sim_rig.model.ahead`); a rig
+on the wire, which knows no next command, lets it act at once.
 """
 
 from typing import Annotated, Any, NamedTuple
-
-import numpy as np
 
 from sim_rig.effects.effect import Effect, Port, Uniform
 
@@ -24,7 +23,7 @@ class Params(NamedTuple):
 
 def law(s: Any, p: Params) -> Any:
     """The delay, s."""
-    return np.maximum(p.skew_fraction * s.time_s, 0.0)
+    return p.skew_fraction * s.time_s
 
 
 EFFECT = Effect(

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sim_rig.errors import SimulationError
+from sim_rig.model.ahead import cut_ahead
 from sim_rig.model.engine import Engine, engine
 from sim_rig.model.skeleton import CLOSED
 from sim_rig.model.state import COLUMNS, Array, ModelState, Simulated, simulated
@@ -49,8 +50,7 @@ def play(model: "Model", inputs: Inputs, start: ModelState | None) -> Simulated:
     values = np.array(begin.values)
     if values.shape != (machine.state_size,):
         raise SimulationError("the start is another catalogue's state: make it with Model.state.")
-    rows = np.empty((inputs.commands.size, COLUMNS))
-    run_page(machine, model, values, inputs, rows)
+    rows = _rows(machine, model, values, inputs, begin.time_s)
     if not np.isfinite(rows).all():
         when = float(
             inputs.durations[: int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])].sum()
@@ -60,6 +60,18 @@ def play(model: "Model", inputs: Inputs, start: ModelState | None) -> Simulated:
             f"steps of {model.longest_step_s} s, or the loop is not stable. Shorten longest_step_s."
         )
     return simulated(begin, rows, values)
+
+
+def _rows(machine: Engine, model: "Model", values: Array, inputs: Inputs, clock_s: float) -> Array:
+    """What is recorded at every slot's end; commands may act ahead of the closed loop's slots."""
+    cut = None
+    if inputs.mode == CLOSED:
+        cut = cut_ahead(model, inputs.commands, inputs.durations, clock_s)
+    if cut is not None:
+        inputs = Inputs(cut.commands, cut.durations, np.zeros((cut.commands.size, 4)))
+    rows = np.empty((inputs.commands.size, COLUMNS))
+    run_page(machine, model, values, inputs, rows)
+    return rows if cut is None else rows[cut.ends]
 
 
 def run_page(

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from servo_bench.diagnosis.coasting import with_coasting
 from servo_bench.diagnosis.comparison import Choice, compare
 from servo_bench.diagnosis.evidence import Evidence, evidence_of, quick_evidence
 from servo_bench.diagnosis.gate import material_sizes, misfit, passes
@@ -150,13 +151,19 @@ def find_causes(
     absorbed += [n.effect for n in named if not is_worth_it(n, final, scales)]
     named = [n for one in named for n in worth_a_name(one, final, scales)]
     plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
+    before = misfit(whole, plain.errors)
+    report("coasting")
+    if named or absorbed:
+        final = with_coasting(whole, final)
+    else:
+        final = plain = with_coasting(whole, plain)
     return Finding(
         recordings=recordings,
         held_out=held_out,
         nominal=model,
         scales=scales,
         base=plain,
-        final=final if named or absorbed else plain,
+        final=final,
         whole=whole,
         named=tuple(named),
         absorbed=tuple(absorbed),
@@ -168,7 +175,7 @@ def find_causes(
         wild=wild_samples(quick.fitted[0], now.model, scales.gap_rad),
         turns=turns,
         rounds=tuple(rounds),
-        misfit_before=misfit(whole, plain.errors),
+        misfit_before=before,
         misfit_after=misfit(whole, final.errors),
         seconds=time.perf_counter() - began,
     )

@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from servo_bench.diagnosis.classes import class_of, splitting
+from servo_bench.diagnosis.coasting import is_coasting, slowing_rad_s2
 from servo_bench.diagnosis.comparison import Comparison, compare
 from servo_bench.diagnosis.evidence import block_z
 from servo_bench.diagnosis.finding import Finding, order_tolerance
@@ -53,7 +54,7 @@ def verdict_of(finding: Finding) -> Verdict:
     explained = _explained(finding) and not strange
     kind: Kind = "named" if causes and explained else "none" if explained else "unknown"
     named = causes if kind == "named" else ()
-    notes = [*finding.notes, *_absorbed(finding)]
+    notes = [*finding.notes, *_absorbed(finding), *_coasting(finding.final.model)]
     if kind == "unknown" and causes:
         notes.append(
             f"It resembles {', '.join(c.effect for c in causes)}, which does not explain it."
@@ -315,6 +316,15 @@ def _absorbed(finding: Finding) -> Iterator[str]:
                 f"{effect} is there too, {strength} = {value:.2g}: too small on this rig to be "
                 "worth a name."
             )
+
+
+def _coasting(model: Model) -> Iterator[str]:
+    if is_coasting(model):
+        yield (
+            "The load goes on in its gap when the motor turns back, slowed by "
+            f"{slowing_rad_s2(model):.2g} rad/s2: no drawing tells it, and every light load "
+            "does."
+        )
 
 
 def _undecided(finding: Finding) -> Iterator[str]:

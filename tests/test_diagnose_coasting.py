@@ -1,0 +1,43 @@
+"""A light load that goes on in its gap: not to be taken for something unknown, nor for a cause."""
+
+import numpy as np
+import pytest
+
+from servo_bench.diagnosis.coasting import coasting, is_coasting, slowing_rad_s2, with_coasting
+from servo_bench.diagnosis.evidence import Evidence, evidence_of
+from servo_bench.diagnosis.gate import misfit
+from servo_bench.diagnosis.seeking import Found, seek
+from servo_bench.diagnosis.unknowns import nuisances
+from sim_rig.model import Model
+from tests.fit_recordings import NOMINAL, recorded
+
+MODEL = Model(NOMINAL)
+SLOWED_RAD_S2 = 350.0
+
+
+def searched(hidden: Model, seed: int) -> tuple[Evidence, Found]:
+    seen = evidence_of([recorded(hidden, seed, slots=1500)], MODEL, block="loop")
+    band = nuisances(0.05, 3.0, NOMINAL.backlash_gap_rad)
+    return seen, seek(seen, MODEL, band, iterations=3)
+
+
+def twist(seen: Evidence, found: Found) -> float:
+    rows = [name.startswith("twist") for name in seen.names]
+    return float(misfit(seen, found.errors)[np.array(rows)].max())
+
+
+def test_a_load_that_coasts_is_found_to_do_so() -> None:
+    seen, found = searched(coasting(MODEL, SLOWED_RAD_S2), 31)
+    assert twist(seen, found) > 1.0
+    better = with_coasting(seen, found)
+    assert twist(seen, better) < 0.5
+    assert is_coasting(better.model)
+    assert slowing_rad_s2(better.model) == pytest.approx(SLOWED_RAD_S2, rel=0.2)
+
+
+@pytest.mark.parametrize("hidden", [MODEL, MODEL.with_effect("inertia_error", error_fraction=0.2)])
+def test_nothing_coasts_where_the_twist_is_right_or_more_than_the_twist_is_wrong(
+    hidden: Model,
+) -> None:
+    seen, found = searched(hidden, 32)
+    assert with_coasting(seen, found) is found

@@ -9,10 +9,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from servo_bench.diagnosis.comparison import Comparison
+from servo_bench.diagnosis.lateness import lateness_rms
 from servo_bench.diagnosis.rows import Array
 
-FLOORS = 2.5
-"""A signal within so many sensor floors is right, whatever its share."""
+FLOORS, LATE = 2.5, 3.0
+"""A signal within so many sensor floors is right, whatever its share; and within so many times what
+commands do that act late by chance."""
 ALLOWED: Mapping[str, Sequence[float]] = {
     "twist": (0.10, 0.13, 0.20, 0.25),
     "motor": (0.006, 0.0036, 0.0012, 0.0009),
@@ -29,7 +31,8 @@ def allowed(comparison: Comparison) -> Array:
     """For every signal, in its unit, shape (signals,)."""
     found = []
     steps: dict[str, int] = {}
-    for signal, row in zip(comparison.signals, comparison.measured, strict=True):
+    late = lateness_rms(comparison)
+    for signal, row, chance in zip(comparison.signals, comparison.measured, late, strict=True):
         kind = _kind(signal.name, signal.increments)
         step = steps.get(kind, 0)
         steps[kind] = step + 1
@@ -37,7 +40,7 @@ def allowed(comparison: Comparison) -> Array:
         share = shares[min(step, len(shares) - 1)]
         known = row[np.isfinite(row) & comparison.seen]
         rms = float(np.sqrt(np.mean(known**2))) if known.size else 0.0
-        found.append(np.hypot(FLOORS * signal.floor, share * rms))
+        found.append(np.linalg.norm([FLOORS * signal.floor, share * rms, LATE * chance]))
     return np.array(found)
 
 

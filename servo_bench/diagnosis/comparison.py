@@ -92,7 +92,7 @@ class Comparison:
         parts = []
         for points in self.pieces:
             shown = self.source.play(model, points.piece)
-            parts.append(np.stack([_taken(s, shown, points, self.source) for s in self.signals]))
+            parts.append(np.stack([taken(s, shown, points, self.source) for s in self.signals]))
         errors = self.measured - np.concatenate(parts, axis=1)
         for k, signal in enumerate(self.signals):
             if signal.level and np.isfinite(errors[k]).any():
@@ -288,14 +288,11 @@ def _measured(signals: Sequence[Signal], points: _Points, source: Source) -> Arr
     names = {s.channel for s in signals} | {s.less for s in signals if s.less}
     shown = {name: source.rows.channel(name)[at] for name in names}
     return np.stack(
-        [
-            _taken(s._replace(factor=1.0, simulated=s.channel), shown, points, source)
-            for s in signals
-        ]
+        [taken(s._replace(factor=1.0, simulated=s.channel), shown, points, source) for s in signals]
     )
 
 
-def _taken(signal: Signal, shown: Mapping[str, Array], points: _Points, source: Source) -> Array:
+def taken(signal: Signal, shown: Mapping[str, Array], points: _Points, source: Source) -> Array:
     """The signal at the points, from the channels at the piece's rows."""
     values = shown[signal.simulated]
     if signal.less:

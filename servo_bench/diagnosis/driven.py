@@ -18,7 +18,7 @@ so is the central difference that is taken for their rate. What the angle is off
 is commanded in the first row.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -57,9 +57,14 @@ def is_driven(recording: Recording) -> bool:
 
 
 def compare_driven(
-    recording: Recording, model: Model, block: Choice, window_s: float | None
+    recording: Recording,
+    model: Model,
+    block: Choice,
+    window_s: float | None,
+    *,
+    scales: Sequence[int] = (),
 ) -> DrivenComparison:
-    """The recording beside models such as `model`. Raises as `compare` does."""
+    """The recording beside models such as `model`. Raises as `compare` does, for `scales` too."""
     looped = _by_position(recording)
     if block == "auto":
         open_ = any(b.name == "mechanics" for b in blocks_of(recording))
@@ -70,7 +75,7 @@ def compare_driven(
     shown = _in_amperes(shown) if _by_voltage(shown) else shown
     if looped:
         shown = _with_rate(shown)
-    made = compare(shown, model, block, window_s)
+    made = compare(shown, model, block, window_s, scales=scales)
     known = {field.name: getattr(made, field.name) for field in fields(made)}
     return DrivenComparison(**known, view=_view(recording, looped=looped))
 

@@ -31,6 +31,8 @@ SHARP = frozenset(
 )
 """Friction whose smoothed sign change is tried sharper than its file has it, and as sharp as that
 of the Coulomb friction that was found."""
+HUB_SHARES, RINGING = (0.15, 0.3, 0.5), 0.03
+"""Of the inertia, behind a coupling that gives way; and its damping over the critical one."""
 LOAD_SHARE = 0.04
 """Of the inertia, behind the gap of a vehicle."""
 DETECTED = frozenset({"missed_samples", "quantisation"})
@@ -203,7 +205,17 @@ def _trials(
     swapped = _mean_warmth(scales) if effect.name == "thermal_friction" else 0.0
     for choice, beside in _choices(effect.name, scales, orders):
         for size in sizes:
-            yield Trial(effect.name, {strength: size, **choice}, abs(size), beside, swapped)
+            settings = {strength: size, **choice}
+            if effect.name == "coupling_compliance":
+                settings["damping_s"] = _ringing_s(settings, scales)
+            yield Trial(effect.name, settings, abs(size), beside, swapped)
+
+
+def _ringing_s(settings: Table, s: Scales) -> float:
+    """Of a coupling that rings for some periods, as metal does; a resonance is a narrow valley."""
+    share = settings["load_inertia_kg_m2"] / s.inertia_kg_m2
+    swinging = settings["load_inertia_kg_m2"] * (1.0 - share)
+    return float(2.0 * RINGING * np.sqrt(settings["compliance_rad_per_nm"] * swinging))
 
 
 def _mean_warmth(s: Scales) -> float:
@@ -243,7 +255,7 @@ def _sizes(effect: Effect, s: Scales) -> tuple[float, ...]:
         "backlash_width": (-0.2 * gap, -0.06 * gap, 0.06 * gap, 0.2 * gap),
         "position_backlash": (0.1 * gap, 0.3 * gap),
         "contact": (2e-3, 2e-2, 0.1),
-        "coupling_compliance": (1e-3, 5e-3, 3e-2),
+        "coupling_compliance": tuple(np.geomspace(1e-3, 6e-2, 24).tolist()),
         "load_friction": (0.05 * tau, 0.3 * tau),
         "load_torque": (-0.3 * tau, -0.05 * tau, 0.05 * tau, 0.3 * tau),
         "gravity_imbalance": (0.1 * tau, 0.4 * tau),
@@ -296,7 +308,7 @@ def _choices(
             ({"load_inertia_kg_m2": share * s.inertia_kg_m2}, {}) for share in (0.004, 0.015, 0.05)
         )
     elif name == "coupling_compliance":
-        yield from (({"load_inertia_kg_m2": share * s.inertia_kg_m2}, {}) for share in (0.1, 0.3))
+        yield from (({"load_inertia_kg_m2": share * s.inertia_kg_m2}, {}) for share in HUB_SHARES)
     else:
         yield from (({}, beside) for beside in _vehicles(name, vehicle))
 

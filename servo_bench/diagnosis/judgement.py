@@ -119,7 +119,7 @@ def _causes(finding: Finding) -> Iterator[Cause]:
         name = f"{one.effect}.{find_effect(one.effect).strengths[0]}"
         sure = min(one.contender.seen_z, one.contender.held_z) > SURE
         if sure or name not in known or abs(numbers[name].value) > SURE * known[name]:
-            yield _cause(one, numbers)
+            yield cause_of(one, numbers)
     if len(finding.lost.rows) >= FEWEST_LOST:
         low, high = finding.lost.interval
         yield Cause(
@@ -150,14 +150,20 @@ def _causes(finding: Finding) -> Iterator[Cause]:
         )
 
 
-def _cause(one: Named, numbers: dict[str, Quantity]) -> Cause:
+def carried_cause(effect: str, missed_z: float, numbers: dict[str, Quantity]) -> Cause:
+    """A cause that had no round of its own: the joint fit misses it by so much."""
+    return Cause(
+        effect=effect,
+        parameters=_of_effect(effect, numbers),
+        confidence=confidence(missed_z, None, 0.0),
+        evidence=missed_z,
+    )
+
+
+def cause_of(one: Named, numbers: dict[str, Quantity]) -> Cause:
+    """A cause as a verdict tells it, beside its best rival."""
     if one.missed_z is not None:
-        return Cause(
-            effect=one.effect,
-            parameters=_of_effect(one.effect, numbers),
-            confidence=confidence(one.missed_z, None, 0.0),
-            evidence=one.missed_z,
-        )
+        return carried_cause(one.effect, one.missed_z, numbers)
     contenders = one.round.contenders
     rivals = [c for c in contenders if c is not one.contender and c.effect != one.effect]
     members = class_of(one.effect) - {one.effect}

@@ -6,6 +6,8 @@ from collections.abc import Collection, Sequence
 from servo_bench.diagnosis.elsewhere.channels import kind_of
 from servo_bench.diagnosis.elsewhere.locked import judge_locked
 from servo_bench.diagnosis.elsewhere.locked_verdict import locked_verdict
+from servo_bench.diagnosis.elsewhere.looped import can_be_looped, judge_looped
+from servo_bench.diagnosis.elsewhere.looped_verdict import looped_verdict
 from servo_bench.diagnosis.elsewhere.mechanics import judge_mechanics
 from servo_bench.diagnosis.elsewhere.mechanics_verdict import mechanics_verdict
 from servo_bench.diagnosis.verdict import Verdict
@@ -44,6 +46,9 @@ def diagnose_open(
         verdict = locked_verdict(
             judge_locked(recordings[0], held_out), recordings[0], without, only
         )
+    elif all(can_be_looped(one) for one in (*recordings, *((held_out,) if held_out else ()))):
+        looped = judge_looped(recordings, held_out, without=without, only=only)
+        verdict = looped_verdict(looped)
     elif kinds == {"mechanics"}:
         finding = judge_mechanics(recordings, held_out, without=without, only=only)
         verdict = mechanics_verdict(finding)

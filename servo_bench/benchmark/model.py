@@ -10,7 +10,8 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from time import perf_counter
+from pathlib import Path
+from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
@@ -23,18 +24,20 @@ from sim_rig.settings import Nominal
 NOMINAL = Nominal(0.03606, 2.5e-4, 0.97, 69.0, 0.0262)
 SLOTS = 4096
 PERIOD_S = 0.008
-REPEATS = 9
+REPEATS = 15
 SMALLEST_NAMED_RAD = 2.5e-5
 """The smallest change of load angle that a diagnosis is asked to name: the gap's floor limit."""
 
 _FIRST_CALL = """
-from time import perf_counter, process_time
-began, worked = perf_counter(), process_time()
 from sim_rig.model import Model
 from sim_rig.settings import Nominal
 Model(Nominal(0.03606, 2.5e-4, 0.97, 69.0, 0.0262)).simulate([5.0], 0.008)
-print(perf_counter() - began, process_time() - worked)
 """
+_BEGIN = (
+    "from time import perf_counter, process_time\nbegan, worked = perf_counter(), process_time()\n"
+)
+_END = "print(perf_counter() - began, process_time() - worked)"
+FIRST_CALLS, STARTS = 3, 9
 
 
 def measure(seed: int) -> dict[str, Any]:
@@ -75,42 +78,55 @@ def _beside_the_loop(ideal: Model, all_on: Model, levels: Any) -> dict[str, floa
 
 
 def _together(first: Callable[[], object], second: Callable[[], object]) -> tuple[float, float]:
-    """Medians of runs that take turns, so that the machine's moods fall on both."""
+    """Medians of runs that take turns, so that the machine's moods fall on both.
+
+    Processor time: both run in this thread alone, and may have to wait for other programs.
+    """
     first(), second()
     times: list[tuple[float, float]] = []
     for _ in range(REPEATS):
-        began = perf_counter()
+        began = process_time()
         first()
-        between = perf_counter()
+        between = process_time()
         second()
-        times.append((between - began, perf_counter() - between))
+        times.append((between - began, process_time() - between))
     ours, theirs = np.median(np.array(times), axis=0).tolist()
     return ours, theirs
 
 
 def _start() -> dict[str, float]:
-    """One call in a process of its own, with an empty cache and again with what it left."""
+    """One call in a process of its own, with an empty cache and again with what it left.
+
+    Beside it what importing numpy takes, which every simulation needs, and numba.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        environment = {**os.environ, "XDG_CACHE_HOME": folder}
+        firsts = [_process_s(_FIRST_CALL, Path(folder) / str(k)) for k in range(FIRST_CALLS)]
+        warm = Path(folder) / "0"
+        programs = (_FIRST_CALL, "import numpy", "import numba")
+        starts = [[_process_s(program, warm) for program in programs] for _ in range(STARTS)]
+    first, first_cpu = np.median(firsts, axis=0).tolist()
+    (again, again_cpu), (numpy_s, _), (numba_s, _) = np.median(starts, axis=0).tolist()
+    return {
+        "first_call_s": first,
+        "first_call_cpu_s": first_cpu,
+        "first_call_from_cache_s": again,
+        "first_call_from_cache_cpu_s": again_cpu,
+        "import_numpy_s": numpy_s,
+        "import_numba_s": numba_s,
+    }
 
-        def call_s() -> list[float]:
-            done = subprocess.run(
-                [sys.executable, "-c", _FIRST_CALL],
-                env=environment,
-                capture_output=True,
-                text=True,
-                check=True,
-            )
-            return [float(word) for word in done.stdout.split()]
 
-        first, first_cpu = call_s()
-        again, again_cpu = np.median([call_s() for _ in range(5)], axis=0).tolist()
-        return {
-            "first_call_s": first,
-            "first_call_cpu_s": first_cpu,
-            "first_call_from_cache_s": again,
-            "first_call_from_cache_cpu_s": again_cpu,
-        }
+def _process_s(program: str, cache_home: Path) -> list[float]:
+    """Wall and processor time of a program, without the start of its interpreter."""
+    timed = f"{_BEGIN}{program}\n{_END}"
+    done = subprocess.run(
+        [sys.executable, "-c", timed],
+        env={**os.environ, "XDG_CACHE_HOME": str(cache_home)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return [float(word) for word in done.stdout.split()]
 
 
 def _batch(model: Model, levels: Any) -> float:

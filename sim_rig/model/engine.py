@@ -1,8 +1,8 @@
 """The page of a catalogue, compiled once and kept: `$XDG_CACHE_HOME/servo-bench/page_HASH.py`.
 
 The hash is of the page's text, and the text holds every law: an edited effect is another file,
-so that numba's cache beside it cannot answer with an old law. Processes may race: the first whole
-file stays. Numba is imported with the first compilation, not before.
+with other machine code beside it (see `machine_code`), so that none answers with an old law.
+Processes may race: the last whole file stays. Numba is imported to compile, and for nothing else.
 """
 
 import gc
@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 from sim_rig.effects import catalogue
 from sim_rig.effects.effect import Effect
+from sim_rig.model import machine_code
 from sim_rig.model.page import memory_names, page_text, parameter_names
 from sim_rig.model.skeleton import MEMORY
 
@@ -29,11 +30,13 @@ HELPERS = (
 _SIGNATURE = "b1(f8[::1],f8[::1],f8[::1],f8[::1],f8[::1],f8[:,::1],i8,f8,f8[:,::1])"
 
 
+_COMPILER = Path(__file__).with_name("compiler.py")
+
+
 class Engine(NamedTuple):
-    """A compiled page, the same in plain Python, and the order of its arrays."""
+    """A compiled page, and the order of its arrays."""
 
     run: Callable[..., bool]
-    plain: Callable[..., bool]
     parameters: tuple[tuple[str, str], ...]
     defaults: tuple[float, ...]
     memory: tuple[tuple[str, str], ...]
@@ -43,6 +46,11 @@ class Engine(NamedTuple):
     def state_size(self) -> int:
         """Length of the state's array."""
         return MEMORY + len(self.memory)
+
+    @property
+    def plain(self) -> Callable[..., bool]:
+        """The page in plain Python, to debug and to compare."""
+        return _plain(self.file)
 
 
 @cache
@@ -55,8 +63,7 @@ def build(effects: Mapping[str, Effect], folder: Path | None = None) -> Engine:
     """Compile the page of `effects`, or take it from the cache in `folder`."""
     file = _written(page_text(effects), folder or cache_folder())
     return Engine(
-        run=_compiled(_module(file, "compiled")),
-        plain=_module(file, "plain").run,
+        run=_kept(file) or _compiled(file),
         parameters=tuple(parameter_names(effects)),
         defaults=tuple(p.default for effect in effects.values() for p in effect.parameters),
         memory=tuple(memory_names(effects)),
@@ -96,21 +103,38 @@ def _module(file: Path, kind: str) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, file)
     assert spec is not None and spec.loader is not None  # noqa: S101, PT018 - a .py file has both
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # numba finds the page by its name when it loads from its cache
+    sys.modules[name] = module  # numba looks up a page's globals by its name
     spec.loader.exec_module(module)
     return module
 
 
-def _compiled(module: ModuleType) -> Callable[..., bool]:
-    from sim_rig.model import compiler  # noqa: PLC0415 - numba: many commands never need it
+@cache
+def _plain(file: Path) -> Callable[..., bool]:
+    run: Callable[..., bool] = _module(file, "plain").run
+    return run
+
+
+def _kept(file: Path) -> Callable[..., bool] | None:
+    made = machine_code.kept(machine_code.file_beside(file, _COMPILER))
+    return None if made is None else machine_code.linked(made)
+
+
+def _compiled(file: Path) -> Callable[..., bool]:
+    from sim_rig.model import compiler  # noqa: PLC0415 - numba: a start from the cache needs none
 
     # A compiler makes many objects and few cycles: collecting is a tenth of its time.
     collected = gc.isenabled()
     gc.disable()
     try:
+        module = _module(file, "compiled")
         for name in HELPERS:
             setattr(module, name, compiler.compiled_helper(getattr(module, name)))
-        return compiler.compiled_run(module.run, _SIGNATURE)
+        made = compiler.machine_code(module.run, _SIGNATURE)
+        run = None if made is None else machine_code.linked(made)
+        if made is None or run is None:
+            return compiler.compiled_run(module.run, _SIGNATURE)
+        machine_code.keep(machine_code.file_beside(file, _COMPILER), made)
+        return run
     finally:
         if collected:
             gc.enable()

@@ -1,6 +1,8 @@
 """The truth of a trial behind a real wire: factories that a rig file can name as its plant.
 
-The rig's seed is twice the trial's seed, plus the take. Only the rig's process imports this.
+The rig's seed is twice the trial's seed, plus the take. How long the trial lasts does not come
+over: neither what is hidden nor the largest velocity depends on it. Only the rig's process imports
+this.
 """
 
 from sim_rig.plant import Plant

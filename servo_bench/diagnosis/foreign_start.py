@@ -12,7 +12,7 @@ unit of the effort, K_T for a current and K_T/R for a voltage; one where nothing
 import numpy as np
 
 from servo_bench.diagnosis.driven import resistance_ohm
-from servo_bench.diagnosis.elsewhere.channels import (
+from servo_bench.diagnosis.foreign_channels import (
     Array,
     Motion,
     Stretch,

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_bench.diagnosis.comparison import FEWEST_POINTS, GROUP_S, Choice, Comparison, Signal
-from servo_bench.diagnosis.elsewhere.channels import torque_of
+from servo_bench.diagnosis.foreign_channels import torque_of
 from servo_bench.diagnosis.noise import floor_of
 from servo_bench.diagnosis.playing import Source
 from servo_bench.diagnosis.rows import Array, rows_of

@@ -9,7 +9,7 @@ windows     simulation from the measured state, a second at a time
 mechanics, locked, verdicts, diagnose     the two kinds of data, and their verdict
 """
 
-from servo_bench.diagnosis.elsewhere.channels import is_open
 from servo_bench.diagnosis.elsewhere.diagnose import diagnose_open
+from servo_bench.diagnosis.foreign_channels import is_open
 
 __all__ = ["diagnose_open", "is_open"]

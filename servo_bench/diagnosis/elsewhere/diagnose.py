@@ -3,13 +3,13 @@
 import time
 from collections.abc import Collection, Sequence
 
-from servo_bench.diagnosis.elsewhere.channels import kind_of
 from servo_bench.diagnosis.elsewhere.locked import judge_locked
 from servo_bench.diagnosis.elsewhere.locked_verdict import locked_verdict
 from servo_bench.diagnosis.elsewhere.looped import can_be_looped, judge_looped
 from servo_bench.diagnosis.elsewhere.looped_verdict import looped_verdict
 from servo_bench.diagnosis.elsewhere.mechanics import judge_mechanics
 from servo_bench.diagnosis.elsewhere.mechanics_verdict import mechanics_verdict
+from servo_bench.diagnosis.foreign_channels import kind_of
 from servo_bench.diagnosis.verdict import Verdict
 from servo_bench.errors import ConfigError, FitError
 from servo_bench.recording.recording import Recording

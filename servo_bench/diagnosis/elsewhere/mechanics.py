@@ -6,13 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_bench.diagnosis.elsewhere import gate
-from servo_bench.diagnosis.elsewhere.channels import (
-    Array,
-    Motion,
-    effort_of,
-    stretches,
-    velocity_lag_s,
-)
 from servo_bench.diagnosis.elsewhere.equation import (
     Design,
     base_design,
@@ -24,6 +17,13 @@ from servo_bench.diagnosis.elsewhere.equation import (
 )
 from servo_bench.diagnosis.elsewhere.selection import Selected, folds_of, select
 from servo_bench.diagnosis.elsewhere.weak import WeakRows, noise_share, weak_rows
+from servo_bench.diagnosis.foreign_channels import (
+    Array,
+    Motion,
+    effort_of,
+    stretches,
+    velocity_lag_s,
+)
 from servo_bench.errors import ConfigError, FitError
 from servo_bench.recording.recording import Recording
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from servo_bench.diagnosis.classes import class_of, splitting
 from servo_bench.diagnosis.elsewhere import gate
-from servo_bench.diagnosis.elsewhere.channels import Array
 from servo_bench.diagnosis.elsewhere.mechanics import MechanicsFinding
 from servo_bench.diagnosis.elsewhere.selection import Step
+from servo_bench.diagnosis.foreign_channels import Array
 from servo_bench.diagnosis.free import unit_of
 from servo_bench.diagnosis.verdict import Cause, ErrorFigures, Quantity, Verdict
 

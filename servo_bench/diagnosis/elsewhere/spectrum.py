@@ -9,7 +9,6 @@ from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 
-from servo_bench.diagnosis.elsewhere.channels import FINE, Array, Stretch
 from servo_bench.diagnosis.elsewhere.terms import (
     PORTS,
     SLOWEST_LINE,
@@ -19,6 +18,7 @@ from servo_bench.diagnosis.elsewhere.terms import (
     torque,
 )
 from servo_bench.diagnosis.elsewhere.weak import WeakRows, adjoint
+from servo_bench.diagnosis.foreign_channels import FINE, Array, Stretch
 from sim_rig.effects import catalogue
 from sim_rig.effects.effect import Effect
 

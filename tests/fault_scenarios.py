@@ -11,21 +11,44 @@ from dataclasses import dataclass
 import numpy as np
 
 GOES_ON = "goes on"
+STALL = "stall"
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """A fault, and the kinds of event or error that name it rightly."""
+    """A fault on a rig, and the kinds of event or error that name it rightly.
+
+    `stall` is a fault of the bench itself: its loop sleeps too long.
+    """
 
     seed: int
     fault: str
     right: tuple[str, ...]
     names: str = ""
+    rig: str = "paper"
 
     @property
     def kind(self) -> str:
-        """The fault's kind."""
-        return self.fault.split()[0]
+        """The fault's kind, and where."""
+        return f"{self.rig}: {self.fault.split()[0]}"
+
+    @property
+    def seen_from_outside(self) -> bool:
+        """Whether a stranger on the wire can see what the drive does after it."""
+        return not self.fault.startswith("unplugged")
+
+    @property
+    def rig_faults(self) -> tuple[str, ...]:
+        """What the rig is told."""
+        return () if self.fault.startswith(STALL) else (self.fault,)
+
+    @property
+    def stall(self) -> tuple[int, float]:
+        """In which wait the bench sleeps too long, and by how many seconds; -1 is never."""
+        if not self.fault.startswith(STALL):
+            return -1, 0.0
+        values = dict(word.split("=") for word in self.fault.split()[1:])
+        return int(values["at"]), float(values["for_ms"]) * 1e-3
 
 
 Draw = np.random.Generator
@@ -169,7 +192,15 @@ def _lie(draw: Draw) -> tuple[str, tuple[str, ...], str]:
     return text, ("velocity not followed",), "drive 1"
 
 
-MAKERS: tuple[Maker, ...] = (
+def _stall(draw: Draw) -> tuple[str, tuple[str, ...], str]:
+    if draw.random() < 0.5:
+        text = f"{STALL} at={_at(draw)} for_ms={draw.uniform(10, 185):.1f}"
+        return text, (GOES_ON,), "slot skipped"
+    text = f"{STALL} at={_at(draw)} for_ms={draw.uniform(260, 2000):.1f}"
+    return text, ("LimitError",), "slots in a row were missed"
+
+
+_ON_CANOPEN: tuple[Maker, ...] = (
     _lost_now_and_then,
     _lost_for_good,
     _late,
@@ -185,11 +216,93 @@ MAKERS: tuple[Maker, ...] = (
     _jump,
     _noise,
     _lie,
+    _stall,
+)
+
+
+def _unanswered(draw: Draw) -> tuple[str, tuple[str, ...], str]:
+    kind = draw.choice(["lost", "damaged", "late"])
+    if draw.random() < 0.5:
+        text = f"{kind} at={_at(draw)} count={draw.integers(1, 4)}"
+        return text, (GOES_ON,), "answer lost"
+    return f"{kind} at={_at(draw)} count=100000", ("drive silent",), "no answer"
+
+
+def _twice(draw: Draw) -> tuple[str, tuple[str, ...], str]:
+    return f"duplicated at={_at(draw)} count={draw.integers(1, 20)}", (GOES_ON,), ""
+
+
+def _exception(draw: Draw) -> tuple[str, tuple[str, ...], str]:
+    code = int(draw.choice([1, 2, 3, 4, 6, 8, 10, 11, 0x29]))
+    if draw.random() < 0.5:
+        text = f"exception at={_at(draw)} count={draw.integers(1, 20)} code={code}"
+        return text, (GOES_ON,), "exception reply"
+    text = f"exception at={_at(draw)} count=100000 code={code}"
+    return text, ("drive silent",), f"exception 0x{code:02X}"
+
+
+def _unplugged_network(draw: Draw) -> tuple[str, tuple[str, ...], str]:
+    return f"unplugged at={_at(draw)}", ("drive silent",), "drive 1"
+
+
+def _unplugged_line(draw: Draw) -> tuple[str, tuple[str, ...], str]:
+    return f"unplugged at={_at(draw)}", ("WireError",), "is gone"
+
+
+_ON_MODBUS: tuple[Maker, ...] = (_unanswered, _twice, _exception, _stall)
+
+
+def _no_count(draw: Draw) -> tuple[str, tuple[str, ...], str]:
+    kind = draw.choice(["counter-lost", "counter-damaged", "counter-fault"])
+    if draw.random() < 0.5:
+        text = f"{kind} at={_at(draw)} count={draw.integers(1, 20)}"
+        return text, (GOES_ON,), "load sample lost"
+    return f"{kind} at={_at(draw)} count=0", ("load encoder silent",), "the counter on"
+
+
+def _late_count(draw: Draw) -> tuple[str, tuple[str, ...], str]:
+    text = f"counter-late at={_at(draw)} delay_ms={draw.uniform(0.2, 40):.2f}"
+    return f"{text} count={draw.integers(1, 10)}", (GOES_ON,), ""
+
+
+def _stuck_count(draw: Draw) -> tuple[str, tuple[str, ...], str]:
+    return f"counter-stuck at={_at(draw)}", ("load does not move",), "load's encoder"
+
+
+def _counts_jump(draw: Draw) -> tuple[str, tuple[str, ...], str]:
+    counts = int(draw.integers(1500, 30000)) * int(draw.choice([-1, 1]))
+    return f"counter-jump at={_at(draw)} counts={counts}", ("LimitError",), "the load's"
+
+
+def _counter_unplugged(draw: Draw) -> tuple[str, tuple[str, ...], str]:
+    return f"counter-unplugged at={_at(draw)}", ("WireError",), "the counter on"
+
+
+def _drive_emergency(draw: Draw) -> tuple[str, tuple[str, ...], str]:
+    code = int(draw.choice([0x2310, 0x3210, 0x7305]))
+    return f"emcy node=drive code=0x{code:04X} at={_at(draw)}", ("emergency",), f"0x{code:04X}"
+
+
+_ON_COUNTER: tuple[Maker, ...] = (
+    _no_count,
+    _late_count,
+    _stuck_count,
+    _counts_jump,
+    _counter_unplugged,
+    _drive_emergency,
+)
+
+MAKERS: tuple[tuple[str, Maker], ...] = (
+    *(("paper", maker) for maker in _ON_CANOPEN),
+    *(("modbus-tcp", maker) for maker in (*_ON_MODBUS, _unplugged_network)),
+    *(("modbus-rtu", maker) for maker in (*_ON_MODBUS, _unplugged_line)),
+    *(("serial-counter", maker) for maker in _ON_COUNTER),
 )
 
 
 def scenario(seed: int, number: int) -> Scenario:
     """The `number`-th scenario of a campaign: every kind in turn, its values drawn."""
     draw = np.random.default_rng([seed, number])
-    fault, right, names = MAKERS[number % len(MAKERS)](draw)
-    return Scenario(int(draw.integers(1 << 30)), fault, right, names)
+    rig, maker = MAKERS[number % len(MAKERS)]
+    fault, right, names = maker(draw)
+    return Scenario(int(draw.integers(1 << 30)), fault, right, names, rig)

@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.fault_campaign import Outcome, judged, passes, run_scenario
-from tests.fault_scenarios import GOES_ON, MAKERS, scenario
+from tests.fault_campaign import run_scenario
+from tests.fault_outcome import Outcome, judged, passes
+from tests.fault_scenarios import GOES_ON, MAKERS, Scenario, scenario
+from tests.virtual_line import install_lines
 from tests.virtual_rig import install
 
 SEED = 20
@@ -16,6 +18,7 @@ PARTS, EACH = 8, 25
 @pytest.fixture(autouse=True, scope="module")
 def _installed() -> None:
     install()
+    install_lines()
 
 
 @pytest.mark.parametrize("part", range(PARTS))
@@ -31,6 +34,15 @@ def test_a_scenario_is_repeatable(tmp_path: Path) -> None:
         first, again = (run_scenario(scenario(3, number), tmp_path) for _ in range(2))
         assert (first.cause, first.text, first.told) == (again.cause, again.text, again.told)
         assert first.played == again.played
+
+
+@pytest.mark.parametrize("rig", ["paper", "serial-counter", "modbus-tcp", "modbus-rtu"])
+def test_in_slots_that_the_bench_missed_the_motor_went_on_as_commanded(
+    rig: str, tmp_path: Path
+) -> None:
+    stall = Scenario(5, "stall at=21 for_ms=185", (GOES_ON,), "slot skipped", rig)
+    outcome = run_scenario(stall, tmp_path)
+    assert outcome.flawless, outcome
 
 
 def test_the_judge_sees_each_flaw() -> None:

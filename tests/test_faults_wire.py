@@ -1,10 +1,10 @@
 """Twenty faults on the real wire: the same causes as in virtual time, and the drive off after."""
 
 import logging
+from pathlib import Path
 
 import pytest
 
-from tests.fault_campaign import short_plan
 from tests.fault_scenarios import GOES_ON, Scenario
 from tests.wire_faults import run_on_wire
 
@@ -35,9 +35,14 @@ SCENARIOS = [
 
 @pytest.mark.parametrize(("fault", "right", "names"), SCENARIOS, ids=[it[0] for it in SCENARIOS])
 def test_the_run_ends_or_goes_on_with_the_right_cause_and_the_drive_is_off(
-    fault: str, right: tuple[str, ...], names: str, monkeypatch: pytest.MonkeyPatch
+    fault: str,
+    right: tuple[str, ...],
+    names: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(logging.getLogger("can"), "propagate", False)
-    outcome = run_on_wire(Scenario(5, fault, right, names), short_plan().schedule())
+    outcome = run_on_wire(Scenario(5, fault, right, names), tmp_path)
     assert outcome.right, outcome
     assert not outcome.moving, outcome
+    assert outcome.readable, outcome

@@ -7,6 +7,7 @@ digits: a sample of slot k that holds anything but k + 1 is stale.
 import math
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from typing import Any
 
 import pytest
 
@@ -17,7 +18,10 @@ from drivers.modbus.library import load_profile
 from drivers.modbus.lines import RtuLine, TcpLine
 from drivers.modbus.master import ModbusAxis
 from drivers.modbus.settings import ModbusDriveSettings, ModbusSettings
+from servo_bench.rig import load_rig
 from tests.modbus_peer import UNIT, Act, HangUp, Peer, pty, rtu_frame, running, tcp_frame
+from tests.virtual_line import install_lines
+from tests.virtual_modbus import VirtualModbus
 
 COUNTS = 65536
 PERIOD_S = 0.008
@@ -260,3 +264,29 @@ def test_another_drive_is_refused() -> None:
 def test_an_axis_that_was_not_entered_says_so() -> None:
     with tcp_axis(good) as (_, axis), pytest.raises(WireError, match="has not been entered"):
         axis.command(0.0, 0)
+
+
+def test_after_a_loss_that_is_noticed_as_late_as_can_be_another_length_is_asked_for() -> None:
+    """Nobody looks at the line while the time-out passes: the next command is what notices it."""
+    install_lines()
+    world = VirtualModbus("late", load_rig("rigs/modbus-rtu.toml").with_faults("lost at=3"))
+    axis = world.axis()
+    words: list[int] = []
+    try:
+        with axis:
+            link = axis._link  # type: ignore[attr-defined]
+            begin = link.begin
+
+            def spy(request: Any) -> int:
+                words.append(request.read_count)
+                return int(begin(request))
+
+            link.begin = spy
+            for slot in range(3):
+                axis.command(1.0, slot)
+                axis.samples(world.now_ns + 6_000_000)
+                world.pass_until(world.now_ns + 100_000_000)
+            link.begin = begin
+    finally:
+        world.close()
+    assert words[0] != words[1] == words[2], "an answer to the lost one would fit"

@@ -14,7 +14,7 @@ from pymodbus.pdu import ExceptionResponse
 
 from drivers.clock import SYSTEM_CLOCK
 from drivers.errors import DriveError, SettingsError, WireError
-from drivers.modbus.frames import belongs, read_request, write_request
+from drivers.modbus.frames import read_request, write_request
 from drivers.modbus.lines import RtuLine, TcpLine
 from drivers.modbus.link import transact
 from drivers.modbus.rtu import RtuLink
@@ -132,25 +132,6 @@ def test_tcp_transaction_ids_never_are_zero_and_come_back_late(tcp: Tcp) -> None
     assert [tcp.ask(), tcp.ask(), tcp.ask()] == [0xFFFF, 1, 2]
 
 
-@given(st.binary(max_size=600), st.booleans())
-@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None, max_examples=200)
-def test_tcp_junk_gives_an_answer_that_fits_or_a_wire_error(junk: bytes, framed: bool) -> None:
-    with tcp_listener() as listener:
-        link = TcpLink(TcpLine(*listener.getsockname()), 1)
-        far, _ = listener.accept()
-        with far:
-            request = read_request(3, 0x10, 2)
-            link.begin(request)
-            far.sendall(tcp_frame(junk[:200], 1) if framed else junk)
-            try:
-                reply = link.poll(SYSTEM_CLOCK.now_ns() + 500_000)
-                assert reply is None or belongs(reply.pdu, request)
-            except WireError:
-                pass
-            finally:
-                link.close()
-
-
 # RTU
 
 
@@ -240,20 +221,6 @@ def test_rtu_noise_before_an_answer_and_pieces_do_not_cost_it(
 def test_rtu_exception_replies(rtu: Rtu) -> None:
     rtu.ask()
     assert rtu.says(rtu_frame(bytes([0x83, 6]))) == "exception 6"
-
-
-@given(st.binary(max_size=300))
-@settings(
-    suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=200
-)
-def test_rtu_junk_gives_nothing_or_what_fits(rtu: Rtu, junk: bytes) -> None:
-    request = read_request(3, 0x10, 2)
-    rtu.link.begin(request)
-    os.read(rtu.near, 100)
-    os.write(rtu.near, junk)
-    reply = rtu.link.poll(SYSTEM_CLOCK.now_ns() + 500_000)
-    assert reply is None or belongs(reply.pdu, request)
-    rtu.link.abandon()
 
 
 def test_rtu_echo_of_another_write_is_no_answer(rtu: Rtu) -> None:

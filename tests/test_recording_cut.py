@@ -2,7 +2,6 @@
 
 import re
 import tracemalloc
-from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -14,32 +13,16 @@ from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Chunk
-from mcap.writer import CompressionType
 
 from servo_bench.errors import RecordingError
 from servo_bench.recording.format import MAX_CHUNK_BYTES, MIB
 from servo_bench.recording.mcap_file import Recovered, load, recover
 from servo_bench.recording.recording import Recording
 from servo_bench.recording.scan import MAGIC, End, scan
-from tests.recording_files import EVENT, NAMES, json_messages, rows, strangers_file, write
+from tests.fuzz_files import whole
+from tests.recording_files import NAMES, rows
 
-FEW = ["slot", "phase", "chip", "velocity_command_rad_s", "load_angle_rad"]
 TABLE = rows(200)
-
-
-@cache
-def whole(kind: str = "ours") -> bytes:
-    """A whole file of 200 samples, by us or as a stranger's without chunks or compression."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "a.mcap"
-        messages = json_messages(TABLE, FEW)
-        if kind == "ours":
-            write(path, TABLE, (EVENT,))
-        elif kind == "no chunks":
-            strangers_file(path, messages, chunked=False)
-        else:
-            strangers_file(path, messages, compression=CompressionType[kind])
-        return path.read_bytes()
 
 
 def loaded(data: bytes, *, allow_cut: bool) -> Recording | RecordingError:
@@ -196,36 +179,6 @@ def test_a_changed_byte_is_noticed_or_changes_nothing(flips: list[tuple[float, i
         assert result.events == original.events
         assert (result.rig, result.experiment) == (original.rig, original.experiment)
         assert result.provenance == original.provenance
-
-
-@settings(max_examples=300, deadline=None)
-@given(
-    kind=st.sampled_from(["ours", "no chunks", "NONE", "LZ4"]),
-    flips=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(1, 255)), max_size=4),
-    cut=st.floats(0.3, 1),
-    insert=st.binary(max_size=12),
-    allow_cut=st.booleans(),
-)
-def test_whatever_the_bytes_only_our_errors_come_out(
-    kind: str, flips: list[tuple[float, int]], cut: float, insert: bytes, allow_cut: bool
-) -> None:
-    data = bytearray(whole(kind))
-    for place, mask in flips:
-        data[int(place * len(data))] ^= mask
-    end = int(cut * len(data))
-    result = loaded(bytes(data[:end]) + insert, allow_cut=allow_cut)
-    assert isinstance(result, Recording | RecordingError)
-
-
-@settings(max_examples=200, deadline=None)
-@given(
-    offset=st.integers(8, 3200), value=st.sampled_from([0, 0x7F, 0x80, 0xFF]), run=st.integers(1, 9)
-)
-def test_lengths_that_lie_are_our_errors(offset: int, value: int, run: int) -> None:
-    """Where the head of a file, all lengths and names, is overwritten."""
-    data = bytearray(whole())
-    data[offset : offset + run] = bytes([value]) * run
-    assert isinstance(loaded(bytes(data), allow_cut=True), Recording | RecordingError)
 
 
 @given(st.binary(max_size=200))

@@ -140,22 +140,6 @@ def test_what_is_not_there() -> None:
     assert refused(rig, DRIVE, 0x1018, 1, 5) == 0x06010002
 
 
-@settings(max_examples=60, deadline=None)
-@given(
-    st.lists(
-        st.tuples(st.sampled_from([0, 0x80, RPDO, 0x601, 0x602, 0x77F]), st.binary(max_size=8))
-    )
-)
-def test_no_frame_kills_a_node(script: list[tuple[int, bytes]]) -> None:
-    rig = local_rig()
-    for can_id, data in script:
-        rig.send(can_id, data)
-        rig.wait(1000)
-    rig.send(0, bytes([129, 0]))
-    assert rig.sdo(DRIVE, 0x1018, 2) == 402
-    assert rig.sdo(ENCODER, 0x1018, 2) == 406
-
-
 # PDOs
 
 

@@ -25,7 +25,8 @@ from servo_bench.run.virtual import play_virtually, run_virtually
 from sim_rig.process import spawn
 from tests.contract_axis import check_axis
 from tests.fake_canopen import FakeRig
-from tests.virtual_rig import RunClock, VirtualRig, install
+from tests.virtual_rig import VirtualRig, install
+from tests.virtual_world import RunClock
 from tests.wire import DRIVE, RPDO, SdoAbortError, local_rig
 
 SYNC = 0x80

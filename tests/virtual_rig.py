@@ -1,4 +1,4 @@
-"""The software rig and the bench in one thread, on a clock of their own: no socket, no sleep.
+"""The software rig on CANopen in virtual time, and what makes python-can know its bus.
 
 The slaves, their faults, and the bus's time are the real ones of `sim_rig`; the master is the real
 one of `drivers`. A frame that the master sends is taken by the rig before `send` returns; time
@@ -25,14 +25,13 @@ from drivers.canopen.settings import (
     EncoderSettings,
     NodeSettings,
 )
-from drivers.clock import Clock as DriversClock
-from servo_bench.clock import Clock
 from sim_rig.canopen import drive402, encoder406
 from sim_rig.canopen.cia402 import POWERED
 from sim_rig.canopen.objects import load_dictionary
 from sim_rig.canopen.rig import Rig
 from sim_rig.settings import RigSettings
 from tests.coasting_plant import CoastingPlant
+from tests.virtual_world import VirtualWorld
 from tests.wire import SETTINGS
 
 EDS = Path(sim_rig.__file__).parent / "eds"
@@ -40,17 +39,18 @@ EPOCH_US = 1_700_000_000_000_000
 WORLDS: dict[str, "VirtualRig"] = {}
 
 
-class VirtualRig:
+class VirtualRig(VirtualWorld):
     """A rig with faults, its bus, and its time."""
 
     def __init__(self, name: str, **changes: Any) -> None:
+        super().__init__()
         self.name = name
         self.settings: RigSettings = replace(SETTINGS, **changes)
-        self.now_ns = 1_000_000_000
         self.waiting: deque[can.Message] = deque()
         self.closed = 0
         self.sent: list[tuple[int, bytes]] = []
-        self.rig = Rig(self.settings, CoastingPlant(self.settings.nominal), self._heard)
+        faults = replace(self.settings, faults=self.settings.wire_faults)
+        self.rig = Rig(faults, CoastingPlant(self.settings.nominal), self._heard)
         self.rig.boot()
         self.waiting.clear()
         WORLDS[name] = self
@@ -62,19 +62,15 @@ class VirtualRig:
     def _heard(self, can_id: int, data: bytes) -> None:
         self.waiting.append(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
-    def look_at_clock(self) -> int:
-        self.now_ns += 1000
-        return self.now_ns
+    def rig_wait_us(self) -> int:
+        return self.rig.wait_us(self.now_us)
 
-    def pass_until(self, end_ns: int, *, stop_on_frame: bool = False) -> None:
-        """Let time pass, the rig doing what is due, until then or until a frame has come."""
-        while self.now_ns < end_ns and not (stop_on_frame and self.waiting):
-            step_ns = max(1000, self.rig.wait_us(self.now_us) * 1000)
-            self.now_ns = min(self.now_ns + step_ns, end_ns)
-            self.rig.tick(self.now_us)
+    def rig_tick(self) -> None:
+        self.rig.tick(self.now_us)
 
     def receive(self, timeout_s: float) -> can.Message | None:
-        self.pass_until(self.now_ns + round(timeout_s * 1e9), stop_on_frame=True)
+        if not self.waiting:
+            self.pass_until(self.now_ns + round(timeout_s * 1e9), self.waiting.__len__)
         return self.waiting.popleft() if self.waiting else None
 
     def take(self, can_id: int, data: bytes) -> None:
@@ -91,6 +87,11 @@ class VirtualRig:
         """The motor's true velocity."""
         return self.rig.machine.outputs.motor_velocity_rad_s
 
+    def load_counts(self, time_us: int) -> int:
+        """The load encoder's count at a time of the run's clock, for a device beside the bus."""
+        self.rig.machine.advance_to(EPOCH_US + time_us)
+        return self.rig.encoder.sensor.counts(self.rig.machine.outputs.load_angle_rad)
+
     def canopen_settings(self, period_s: float = 0.008, **changes: Any) -> CanopenSettings:
         """What the master must know of this rig; `changes` are fields of DriveSettings."""
         drive = DriveSettings(NodeSettings(1, EDS / "sim_drive.eds", 0, 402), 65536)
@@ -103,25 +104,7 @@ class VirtualRig:
 
     def axis(self, settings: CanopenSettings | None = None) -> CanopenAxis:
         """A master for this rig."""
-        clock = DriversClock(self.look_at_clock, self._sleep)
-        return CanopenAxis(settings or self.canopen_settings(), clock)
-
-    def _sleep(self, duration_s: float) -> None:
-        self.pass_until(self.now_ns + round(duration_s * 1e9))
-
-
-class RunClock(Clock):
-    """The run's clock on a rig's time; `holes_ns` are wake-ups that come late."""
-
-    def __init__(self, world: VirtualRig) -> None:
-        self._world = world
-
-    def now_ns(self) -> int:
-        return self._world.look_at_clock()
-
-    def sleep_until(self, deadline_ns: int) -> int:
-        self._world.pass_until(deadline_ns)
-        return self._world.look_at_clock()
+        return CanopenAxis(settings or self.canopen_settings(), self.clock())
 
 
 class VirtualBus(can.BusABC):

@@ -217,6 +217,9 @@ class Cycle:
         """A SYNC has asked: note it, with the command that acts from it on."""
         for matcher in self._matchers:
             matcher.ask(slot, asked_ns)
+        if slot > self._asked_slot >= 0:  # the command before was held in slots that were missed
+            missed = slot - self._asked_slot - 1
+            self._commanded_rad += missed * self._held_rad_s * self._period_s
         self._asked_slot, self._asked_ns, self._held_rad_s = slot, asked_ns, velocity_rad_s
         self._commanded.append(self._commanded_rad)
         self._commanded_rad += velocity_rad_s * self._period_s

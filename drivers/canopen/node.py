@@ -16,6 +16,7 @@ from drivers.errors import DriveError, WireError
 NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL = 0x01, 0x02, 0x80
 OPERATIONAL, PRE_OPERATIONAL = 0x05, 0x7F
 _NO_RESPONSE = "no SDO response"
+_SDO_BYTES = 8
 SDO_REQUEST, SDO_RESPONSE, HEARTBEAT, EMERGENCY, SYNC = 0x600, 0x580, 0x700, 0x080, 0x080
 
 
@@ -28,6 +29,10 @@ class BusSdoClient(SdoClient):
         self._line = line
         self._timeout_ns = round(timeout_s * 1e9)
         line.network.subscribe(self.tx_cobid, self.on_response)
+
+    def on_response(self, can_id: int, data: bytearray, timestamp: float) -> None:
+        if len(data) == _SDO_BYTES:  # what is shorter is no SDO: canopen would fall over it
+            SdoClient.on_response(self, can_id, data, timestamp)
 
     def read_response(self) -> bytes:
         deadline_ns = self._line.clock.now_ns() + self._timeout_ns
@@ -114,7 +119,8 @@ class Node:
         seen: list[int] = []
 
         def on_heartbeat(_cob_id: int, data: bytearray, _timestamp: float) -> None:
-            seen.append(data[0] & 0x7F)
+            if data:
+                seen.append(data[0] & 0x7F)
 
         self.line.network.subscribe(HEARTBEAT + self.node_id, on_heartbeat)
         deadline_ns = self.line.clock.now_ns() + round(timeout_s * 1e9)

@@ -118,10 +118,10 @@ def _map(node: Node, mapping: int, entries: list[int]) -> None:
 
 def disable_others(node: Node, used: set[int]) -> None:
     """Switch off every PDO of the EDS whose communication record is not in `used`."""
-    for kind in (RPDO, TPDO):
-        for communication in range(kind, kind + 0x200):
-            if communication in used or not node.writable(communication, 1):
-                continue
-            cob_id = node.read(communication, 1)
-            if not cob_id & _INVALID:
-                node.write(communication, 1, _INVALID | cob_id)
+    for communication in node.dictionary:
+        is_pdo = any(kind <= communication < kind + _MAPPING for kind in (RPDO, TPDO))
+        if not is_pdo or communication in used or not node.writable(communication, 1):
+            continue
+        cob_id = node.read(communication, 1)
+        if not cob_id & _INVALID:
+            node.write(communication, 1, _INVALID | cob_id)

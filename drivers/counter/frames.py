@@ -146,6 +146,8 @@ class Frame:
     def decode(self, data: bytes) -> dict[str, int] | None:
         """The numbers of a whole frame; None where its bytes or its check sum are wrong."""
         found: dict[str, int] = {}
+        if len(data) != self.size:
+            return None
         at = 0
         for part in self.parts:
             piece = data[at : at + part.size]

@@ -80,6 +80,7 @@ class Cycle:
         self._last_good_ns = clock.now_ns()
         self._last_trouble = "no answer at all"
         self._lost = 0
+        self._last_slot: int | None = None
         self._commanded_rad = self._in_force_rad_s = 0.0
         self._unwrap_motor = Unwrapper(profile.items[names.POSITION].modulus)
         load = profile.items.get(names.LOAD)
@@ -101,7 +102,11 @@ class Cycle:
             ) from error
         self._skip(self._deferred)
         self._deferred = None
+        lost = self._lost
         self.receive(0)
+        if self._lost != lost:  # an answer was given up just now: ask for another length than its
+            request = self._exchanges[0].request(self.digits, self._lost)
+        self._pass_slots_before(slot)
         ask = _Ask(slot, self._clock.now_ns(), self._commanded_rad, velocity_rad_s)
         self._asks.append(ask)
         if self._open is None:
@@ -112,6 +117,12 @@ class Cycle:
             self._skip(ask)
         self._commanded_rad += self._in_force_rad_s * self._settings.period_s
         return ask.asked_ns
+
+    def _pass_slots_before(self, slot: int) -> None:
+        """In slots that the bench has missed the drive went on with the command before them."""
+        missed = 0 if self._last_slot is None else max(slot - self._last_slot - 1, 0)
+        self._commanded_rad += missed * self._in_force_rad_s * self._settings.period_s
+        self._last_slot = slot
 
     def _begin(self, ask: _Ask, request: ModbusPDU) -> None:
         self._in_force_rad_s = ask.velocity_rad_s

@@ -58,6 +58,7 @@ class ObjectStore:
         self._device_defaults: dict[Address, int] = {}
         self._values: dict[Address, int] = {}
         self._hooks: dict[Address, Hook] = {}
+        self._variables: dict[Address, ODVariable] = {}
 
     def __getitem__(self, address: Address) -> int:
         value = self._values.get(address)
@@ -81,6 +82,12 @@ class ObjectStore:
 
     def variable(self, index: int, subindex: int) -> ODVariable:
         """The entry of the dictionary. Aborts where there is none."""
+        known = self._variables.get((index, subindex))
+        if known is None:
+            known = self._variables[index, subindex] = self._looked_up(index, subindex)
+        return known
+
+    def _looked_up(self, index: int, subindex: int) -> ODVariable:
         if index not in self.object_dictionary:
             raise refuse(Abort.NO_OBJECT)
         entry = self.object_dictionary[index]
@@ -127,4 +134,6 @@ class ObjectStore:
         if address in self._device_defaults:
             return self._device_defaults[address]
         default = self.variable(*address).default
-        return default if isinstance(default, int) else 0
+        value = default if isinstance(default, int) else 0
+        self._device_defaults[address] = value  # looked up in every cycle
+        return value

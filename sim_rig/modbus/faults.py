@@ -10,7 +10,10 @@ _EXCEPTION = 0x80
 
 
 class Answers:
-    """The way out of one drive's answers, whole frames in and bytes out."""
+    """The way out of one drive's answers, whole frames in and bytes out.
+
+    Once `unplugged` the line carries nothing any more, in either direction.
+    """
 
     def __init__(self, orders: Sequence[Order], *, rtu: bool, enabled: Callable[[], bool]) -> None:
         self._orders = orders
@@ -18,14 +21,20 @@ class Answers:
         self._enabled = enabled
         self._request = 0
         self._held = b""
+        self.unplugged = False
 
     def __call__(self, frame: bytes) -> bytes:
         """What goes onto the line in place of this frame; may be nothing."""
+        if self.unplugged:
+            return b""
         if not self._enabled():
             self._request = 0
             return frame
         kinds = {order.kind: order for order in self._orders if order.hits(self._request)}
         self._request += 1
+        if "unplugged" in kinds:
+            self.unplugged = True
+            return b""
         if "exception" in kinds:
             frame = self._refusal(frame, kinds["exception"].code)
         if "damaged" in kinds:

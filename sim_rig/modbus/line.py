@@ -77,11 +77,15 @@ class PtyLine:
         self.device = os.ttyname(self._far)
         self._buffer = bytearray()
         self._last_byte_s = 0.0
+        self._is_cut = False
         self._end: asyncio.TimerHandle | None = None
         self._loop.add_reader(self._near, self._read)
 
     def close(self) -> None:
         """Hang up."""
+        if self._is_cut:
+            return
+        self._is_cut = True
         self._loop.remove_reader(self._near)
         if self._end is not None:
             self._end.cancel()
@@ -118,11 +122,17 @@ class PtyLine:
             answer = ExceptionResponse(request.function_code, 1)
         answer.dev_id = self._drive.unit
         frame = self._drive.outgoing(self._framer.buildFrame(answer))
-        if not frame:
+        if self._drive.outgoing.unplugged:
+            self.close()
+        if not frame or self._is_cut:
             return
         timing = self._timing
         done_s = timing.t35_s + timing.turnaround_s + len(frame) * timing.character_s
-        self._loop.call_at(self._last_byte_s + done_s, os.write, self._near, frame)
+        self._loop.call_at(self._last_byte_s + done_s, self._hand_over, frame)
+
+    def _hand_over(self, frame: bytes) -> None:
+        if not self._is_cut:
+            os.write(self._near, frame)
 
 
 @asynccontextmanager

@@ -5,6 +5,7 @@
     duplicated   the answer comes twice
     damaged      a wrong check sum, or on TCP another transaction's id
     exception    an exception reply with `code` in place of the answer
+    unplugged    the serial line is cut, or on TCP nothing comes through any more, for good
 
 They begin at request `at`, counted from 0 since the drive was enabled, and last for `count`.
 """
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 
 from sim_rig.errors import RigSettingsError
 
-KINDS = ("lost", "late", "duplicated", "damaged", "exception")
+KINDS = ("lost", "late", "duplicated", "damaged", "exception", "unplugged")
 
 
 @dataclass(frozen=True, slots=True)

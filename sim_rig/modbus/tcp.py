@@ -39,6 +39,8 @@ async def listening(drive: ModbusDrive, bus: BusOptions) -> AsyncIterator[dict[s
     def stamp(sending: bool, data: bytes) -> bytes:
         if sending:
             return drive.outgoing(data)
+        if drive.outgoing.unplugged:
+            return b""
         drive.request_arrived(time.monotonic_ns() // 1000)
         return data
 

@@ -1,7 +1,8 @@
 """SI inside; degrees and rpm only where people read and write.
 
 A configuration key may end in a reader's unit (`backlash_gap_deg`, `amplitude_rpm`); `to_si`
-renames it to the field's own (`backlash_gap_rad`, `amplitude_rad_s`) and scales the value.
+renames it to the field's own (`backlash_gap_rad`, `amplitude_rad_s`) and scales the value, or
+each of a list (`amplitudes_deg_s = [30, 60]`).
 """
 
 import math
@@ -33,6 +34,22 @@ def to_si(table: Mapping[str, Any]) -> dict[str, Any]:
 
 def _si(key: str, value: Any) -> tuple[str, Any]:
     for suffix, (si_suffix, factor) in READER_UNITS.items():
-        if key.endswith(suffix) and isinstance(value, int | float) and not isinstance(value, bool):
-            return key.removesuffix(suffix) + si_suffix, value * factor
+        if key.endswith(suffix):
+            scaled = _scaled(value, factor)
+            return (
+                (key, value) if scaled is None else (key.removesuffix(suffix) + si_suffix, scaled)
+            )
     return key, value
+
+
+def _scaled(value: Any, factor: float) -> Any:
+    """A number, or a list of them (of lists ...), times `factor`; None where anything is no number.
+
+    An empty list counts as one of numbers: what is wrong with it is said under the field's name.
+    """
+    if isinstance(value, list | tuple):
+        scaled = [_scaled(item, factor) for item in value]
+        return None if None in scaled else scaled
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    return value * factor

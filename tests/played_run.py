@@ -31,6 +31,7 @@ def main(job: Path, out: Path) -> None:
             out,
             progress=progress,
             stop=stop,
+            stopped_by=lambda: stop.by,
         )
 
 

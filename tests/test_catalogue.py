@@ -74,7 +74,14 @@ def test_a_run_says_what_its_recording_says(folder: Path) -> None:
     ("events", "state", "words"),
     [
         ((Event(1, "error", "drive 1 is in fault", {"error": "DriveError"}),), "faulted", "fault"),
-        ((Event(1, "stop asked", "the operator asked"),), "stopped", "operator"),
+        ((Event(1, "stop asked", "the operator asked"),), "stopped", "by the operator after 50"),
+        ((Event(1, "stop asked", "", {"by": "Ada (smoke)"}),), "stopped", "by Ada (smoke) after"),
+        (
+            (Event(1, "stop asked", "", {"by": "Ada\x1b[2J"}),),
+            "stopped",
+            "by Ada\N{REPLACEMENT CHARACTER}[2J",
+        ),
+        ((Event(1, "stop asked", "", {"by": ["Ada"]}),), "stopped", "by the operator after"),
         ((Event(1, "slot skipped", "", {"slot": 5, "to": 9}),), "complete", "4 slots missed"),
     ],
 )

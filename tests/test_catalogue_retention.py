@@ -1,5 +1,6 @@
 """Retention lists; it deletes only what was listed, when it was told and confirmed."""
 
+import json
 import shutil
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -112,3 +113,22 @@ def test_search_and_note_from_the_command_line(catalogue: Catalogue, tmp_path: P
     assert '"notes": "belt changed"' in shown.output
     shutil.copy(path, catalogue.folder / "copy.mcap")
     assert "6 recordings" in runner.invoke(command.app, ["rebuild", *folder]).output
+
+
+@pytest.mark.parametrize(
+    ("said", "folder"), [("", "recordings"), ('recordings = "kept"\n', "kept")]
+)
+def test_beside_a_bench_file_its_recordings_are_meant_with_the_daemons_ids(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: str, folder: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / folder).mkdir()
+    write(tmp_path / folder / "run.mcap", rows(20))
+    (tmp_path / "bench.toml").write_text(f'rig = "rigs/paper.toml"\n{said}')
+    daemons = Catalogue(tmp_path / folder)
+    number = daemons.id_of(tmp_path / folder / "run.mcap")
+    done = CliRunner().invoke(command.app, ["search", "--json", "found.json"])
+    assert done.exit_code == 0, done.output
+    (run,) = json.loads((tmp_path / "found.json").read_text())["runs"]
+    assert run["id"] == number
+    assert CliRunner().invoke(command.app, ["show", number]).exit_code == 0

@@ -139,3 +139,20 @@ def test_the_command_line_says_that_nothing_has_changed(
     assert done.exit_code == 0, done.output
     assert "Nothing has changed" in done.output
     assert json.loads(out.read_text())["changed"] is False
+
+
+@pytest.mark.parametrize(
+    ("symbol", "label"),
+    [
+        ("J", "J"),
+        ("K_P", "K_P"),
+        ("coulomb.torque_nm", "coulomb torque"),
+        ("viscous.damping_nm_s_per_rad", "viscous damping"),
+        ("stribeck.order", "stribeck order"),
+    ],
+)
+def test_a_change_is_named_in_words_and_angles_are_told_in_degrees(symbol: str, label: str) -> None:
+    change = Change("n", symbol, "rad", "mechanics", 0.1, 0.2, 0.01, 0.0)
+    assert change.numbers(changed=True)["label"] == label
+    factor, unit = change.shown
+    assert (factor * math.pi, unit) == (pytest.approx(180.0), "deg")

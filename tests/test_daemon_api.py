@@ -378,7 +378,9 @@ def test_a_stop_from_elsewhere_needs_the_token(tmp_path: Path) -> None:
     client = client_of(tmp_path, network, peer="192.0.2.1")
     problem(client.post("/api/stop"), 401)
     header = {"Authorization": f"Bearer {TOKEN}"}
-    assert client.post("/api/stop", headers=header).status_code == 200
+    assert client.post("/api/stop", headers=header, json={"operator": "Ada"}).status_code == 200
+    told = client.get("/api/status", headers=header).json()["held_reason"]
+    assert told == "stopped by Ada from 192.0.2.1"
 
 
 def test_the_live_view_tells_its_status_and_heeds_a_stop(client: AsgiClient) -> None:

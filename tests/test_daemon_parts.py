@@ -7,6 +7,7 @@ import shutil
 import socket
 import struct
 import subprocess
+import sys
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -18,6 +19,7 @@ from pydantic import BaseModel
 from servo_bench.cli.daemon import UNIT
 from servo_bench.daemon import store
 from servo_bench.daemon.config import BenchConfig, NetworkConfig, RunConfig, load_bench
+from servo_bench.daemon.job import RunJob, RunResult
 from servo_bench.daemon.live import (
     LINGER_S,
     MAX_ROWS,
@@ -31,7 +33,6 @@ from servo_bench.daemon.notify import notify, watchdog_s
 from servo_bench.daemon.processes import bus_processes
 from servo_bench.daemon.queue import Queue, Waiting
 from servo_bench.daemon.requests import new_file
-from servo_bench.daemon.runner import RunJob, RunResult
 from servo_bench.errors import BenchError, BusyError, ConfigError, RecordingError
 from servo_bench.recording.recording import SAMPLE_DTYPE
 from servo_bench.rig import load_rig
@@ -319,3 +320,16 @@ def test_the_bench_file_of_the_documentation_is_one(tmp_path: Path) -> None:
 
 def test_a_row_has_what_the_frames_need() -> None:
     assert {"slot", "asked_ns", "motor_torque_nm"} <= set(SAMPLE_DTYPE.names or ())
+
+
+def test_the_first_answer_waits_for_no_numerics_and_no_master() -> None:
+    """What a run or an analysis needs is imported in its own process, or when it is asked for."""
+    heavy = ("numba", "scipy", "matplotlib", "servo_bench.run.session", "drivers.canopen.master")
+    program = (
+        "import sys, servo_bench.daemon.__main__\n"
+        f"print([name for name in {heavy!r} if name in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "[]\n"

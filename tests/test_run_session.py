@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from itertools import chain, repeat
 from pathlib import Path
 
 import can
@@ -117,17 +118,20 @@ def test_a_stop_that_the_operator_asks_leaves_a_readable_recording(
     rig: RigConfig, tmp_path: Path
 ) -> None:
     asked: list[bool] = []
+    names = chain(["", ""], repeat("Ada (smoke)"))  # a name that comes later than the stop
     summary = run(
         experiment(30.0),
         rig,
         tmp_path / "run.mcap",
         progress=stop_after(80, lambda: asked.append(True)),
         stop=lambda: bool(asked),
+        stopped_by=lambda: next(names),
     )
     assert summary.stopped_early
     recording = load(tmp_path / "run.mcap")
     assert 80 <= len(recording) < 30.0 / 0.008
-    assert "stop asked" in [event.kind for event in recording.events]
+    (stop,) = (event for event in recording.events if event.kind == "stop asked")
+    assert (stop.text, stop.data) == ("by Ada (smoke)", {"by": "Ada (smoke)"})
     assert_standing(rig)
 
 
@@ -146,15 +150,20 @@ def start_program(rig: RigConfig, folder: Path, out: Path) -> "subprocess.Popen[
     return process
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("number", "named"), [(signal.SIGINT, "(Ctrl-C)"), (signal.SIGTERM, "(SIGTERM)")]
+)
 def test_a_signal_stops_the_rig_and_leaves_a_readable_recording(
-    rig: RigConfig, tmp_path: Path, number: signal.Signals
+    rig: RigConfig, tmp_path: Path, number: signal.Signals, named: str
 ) -> None:
     out = tmp_path / "run.mcap"
     with start_program(rig, tmp_path, out) as process:
         process.send_signal(number)
         assert process.wait(15) == 0
-    assert len(load(out)) > 50
+    recording = load(out)
+    assert len(recording) > 50
+    (stop,) = (event.text for event in recording.events if event.kind == "stop asked")
+    assert stop.endswith(named)
     assert_standing(rig)
 
 

@@ -7,8 +7,9 @@ process, the pages are processes, the wire is listened to by a bystander.
                  beside it, and alone (a plain run): in turn, so that both see the same machine
     sample       from its SYNC to a page's socket (a browser draws it within its next frame)
     stop         from the request to the first frame on the wire that commands zero or quick stop
-    start        from exec to systemd's READY=1
-    memory       resident memory of the web side after each of several runs
+    start        from exec to the first answer of /api/health, in turn with a process that only
+                 imports FastAPI and uvicorn, its reference
+    memory       resident memory of the web side after each run, for so long
 """
 
 import json
@@ -20,7 +21,7 @@ import subprocess
 import sys
 import tempfile
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -43,7 +44,7 @@ RIG = "rigs/paper.toml"
 PAGES = 3
 AMPLITUDE_RAD_S = 0.5
 PERIODS_S = (0.001, 0.008)
-PATIENCE_S = 60.0
+PATIENCE_S = 180.0
 COMMAND = 0x200
 ENABLED = 0x0F
 _PDO = struct.Struct("<Hi")
@@ -57,14 +58,19 @@ class Effort(NamedTuple):
     stops: int
     starts: int
     runs: int
+    memory_s: float
 
 
-SHORT = Effort(seconds=8.0, pairs=1, stops=8, starts=3, runs=3)
-FULL = Effort(seconds=60.0, pairs=5, stops=200, starts=10, runs=400)
+SHORT = Effort(seconds=8.0, pairs=1, stops=8, starts=3, runs=3, memory_s=0.0)
+FULL = Effort(seconds=60.0, pairs=5, stops=200, starts=20, runs=10, memory_s=3600.0)
 
 
-def measure(effort: Effort, told: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
-    """All of it, ready for JSON. Raises what a run raises, and BenchError where the daemon dies."""
+def measure(
+    effort: Effort,
+    told: Callable[[str], None],
+    parts: Collection[str],
+) -> dict[str, Any]:
+    """The parts, ready for JSON. Raises what a run raises, and BenchError where the daemon dies."""
     logging.getLogger("can").setLevel(logging.CRITICAL)  # it tells of every read within a frame
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -72,16 +78,19 @@ def measure(effort: Effort, told: Callable[[str], None] = lambda _: None) -> dic
         started = stack.enter_context(spawn(paper.simulation_settings()))
         rig = paper.with_bus(**started.bus)
         bench = _write_bench(folder, rig, effort)
-        told("start")
-        starts_s = [_start_s(bench) for _ in range(effort.starts)]
-        figures: dict[str, Any] = {"effort": effort._asdict(), "start_s": _spread_s(starts_s)}
-        for period_s in PERIODS_S:
+        figures: dict[str, Any] = {"effort": effort._asdict()}
+        if "start" in parts:
+            told("start")
+            figures |= _starts(bench, effort)
+        for period_s in PERIODS_S if "lateness" in parts else ():
             told(f"lateness at {period_s * 1e3:g} ms")
             figures[f"period_{period_s * 1e3:g}_ms"] = _lateness(bench, rig, period_s, effort)
-        told("stop")
-        figures["stop_to_zero_s"] = _spread_s(_stops(bench, rig, effort))
-        told("memory")
-        figures["memory"] = _memory(bench, effort)
+        if "stop" in parts:
+            told("stop")
+            figures["stop_to_zero_s"] = _spread_s(_stops(bench, rig, effort))
+        if "memory" in parts:
+            told("memory")
+            figures["memory"] = _memory(bench, effort)
     return figures
 
 
@@ -198,9 +207,29 @@ def _daemon(bench: Path) -> Iterator[_Client]:
             process.wait(PATIENCE_S)
 
 
+def _starts(bench: Path, effort: Effort) -> dict[str, Any]:
+    """Starts and their reference, in turn, and how many times as long a start is."""
+    starts_s, imports_s = [], []
+    for _ in range(effort.starts):
+        imports_s.append(_import_s())
+        starts_s.append(_start_s(bench))
+    return {
+        "start_s": _spread_s(starts_s),
+        "import_fastapi_uvicorn_s": _spread_s(imports_s),
+        "start_to_import_ratio_p50": float(np.median(starts_s) / np.median(imports_s)),
+    }
+
+
+def _import_s() -> float:
+    begun_ns = monotonic_ns()
+    subprocess.run([sys.executable, "-c", "import fastapi, uvicorn"], check=True)
+    return (monotonic_ns() - begun_ns) / NS_PER_S
+
+
 def _start_s(bench: Path) -> float:
     begun_ns = monotonic_ns()
-    with _daemon(bench):
+    with _daemon(bench) as client:
+        client.ask("health")
         return (monotonic_ns() - begun_ns) / NS_PER_S
 
 
@@ -315,19 +344,25 @@ def _zero_ns(bus: can.BusABC, rig: RigConfig) -> int:
 
 
 def _memory(bench: Path, effort: Effort) -> dict[str, Any]:
-    """Resident memory of the web side, MB, after each run."""
+    """Resident memory of the web side, MB, after each run; so many runs, and for so long."""
+    resident_mb: list[float] = []
+    ended_s: list[float] = []
+    begun_ns = monotonic_ns()
     with _daemon(bench) as client:
-        resident_mb = []
-        for _ in range(effort.runs):
+        while len(resident_mb) < effort.runs or ended_s[-1] < effort.memory_s:
             client.wait(_is_over(client.play("short")), PATIENCE_S)
             resident_mb.append(_resident_mb(client.process.pid))
-    half = resident_mb[len(resident_mb) // 2 :]
-    growth = np.polyfit(np.arange(len(half)), half, 1)[0] if len(half) > 2 else None
+            ended_s.append((monotonic_ns() - begun_ns) / NS_PER_S)
+    middle = len(resident_mb) // 2
+    later = np.polyfit(ended_s[middle:], resident_mb[middle:], 1) if middle > 1 else None
     return {
+        "seconds": ended_s[-1],
         "runs": len(resident_mb),
         "first_mb": resident_mb[0],
+        "middle_mb": resident_mb[middle],
         "last_mb": resident_mb[-1],
-        "growth_mb_per_run_second_half": None if growth is None else float(growth),
+        "most_mb": max(resident_mb),
+        "growth_mb_per_hour_second_half": None if later is None else 3600.0 * float(later[0]),
     }
 
 

@@ -85,10 +85,19 @@ def _state(found: Glance) -> tuple[State, str]:
         return "cut", f"The file ends before its run does: {count} can be saved or are written."
     if RECOVERY_METADATA in found.metadata:
         return "cut", f"Saved from a cut file: {count}."
-    if any(event.kind == "stop asked" for event in found.events):
-        return "stopped", f"Stopped by the operator after {count}."
+    stops = [event for event in found.events if event.kind == "stop asked"]
+    if stops:
+        return "stopped", f"Stopped by {_who_asked(stops[0])} after {count}."
     missed = _missed(found.events)
     return "complete", f"{count}, {missed} slots missed."
+
+
+def _who_asked(stop: Event) -> str:
+    match stop.data:
+        case {"by": str(by)} if by.strip():
+            return printable(by)
+        case _:
+            return "the operator"
 
 
 def _missed(events: Iterable[Event]) -> int:

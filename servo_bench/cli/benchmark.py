@@ -1,6 +1,7 @@
 """`servo-bench benchmark …`: the bench's claims, measured on this machine."""
 
 from collections.abc import Mapping
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,7 +21,17 @@ from servo_bench.benchmark.volterra import SEEDS
 from servo_bench.cli.output import refuse_existing, write_json
 from servo_bench.cli.progress import run_progress
 from servo_bench.recording.provenance import provenance
-from servo_bench.run.busloop import PRIORITY
+from servo_bench.run.realtime import PRIORITY
+
+
+class DaemonPart(StrEnum):
+    """What of the daemon's benchmark is measured."""
+
+    START = "start"
+    LATENESS = "lateness"
+    STOP = "stop"
+    MEMORY = "memory"
+
 
 app = typer.Typer(no_args_is_help=True, help="Measure the bench, with a reference beside it.")
 PAPER_RIG = "rigs/paper.toml"
@@ -122,6 +133,12 @@ def daemon(
     full: Annotated[
         bool, typer.Option("--full", help="200 stops and an hour of runs, instead of 3 minutes.")
     ] = False,
+    only: Annotated[
+        list[DaemonPart] | None, typer.Option("--only", help="This part; may be repeated.")
+    ] = None,
+    minutes: Annotated[
+        float | None, typer.Option(min=0.0, help="How long memory is watched, over runs.")
+    ] = None,
     json: Json = None,
 ) -> None:
     """What the daemon costs the bus loop; its start, its stop, a sample's way to a page."""
@@ -130,7 +147,10 @@ def daemon(
     refuse_existing(json)
     console = Console(stderr=True)
     effort = daemon_benchmark.FULL if full else daemon_benchmark.SHORT
-    _show(daemon_benchmark.measure(effort, lambda what: console.print(f"{what} ...")), json)
+    if minutes is not None:
+        effort = effort._replace(memory_s=60.0 * minutes)
+    parts = tuple(part.value for part in only or DaemonPart)
+    _show(daemon_benchmark.measure(effort, lambda what: console.print(f"{what} ..."), parts), json)
 
 
 def _show(figures: Mapping[str, Any], json: Path | None) -> None:

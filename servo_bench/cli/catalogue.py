@@ -14,17 +14,26 @@ from servo_bench.catalogue import Catalogue, Run
 from servo_bench.catalogue.retention import age, delete, let_go
 from servo_bench.cli.output import refuse_existing, write_json
 from servo_bench.errors import ConfigError, RecordingError
+from servo_bench.files import read_toml
 
 SHOWN = 50
 
 app = typer.Typer(no_args_is_help=True, help="The recordings of a folder: find, annotate, prune.")
-Folder = Annotated[Path, typer.Option("--folder", help="The folder of the recordings.")]
+Folder = Annotated[
+    Path | None,
+    typer.Option(
+        "--folder",
+        help="The folder of the recordings; by default that of the bench.toml here, or else this.",
+    ),
+]
 Index = Annotated[
     Path | None, typer.Option("--index", help="The index's file, instead of one in the folder.")
 ]
 Which = Annotated[str, typer.Argument(help="The run's id, or the path of its recording.")]
 Json = Annotated[Path | None, typer.Option("--json", help="Write the runs to this file.")]
-HERE = Path()
+BENCH = Path("bench.toml")
+RECORDINGS = "recordings"
+"""Of a bench file that does not say where."""
 
 
 @app.command()
@@ -36,13 +45,13 @@ def search(
     tag: Annotated[str | None, typer.Option(help="Only runs with this tag.")] = None,
     limit: Annotated[int, typer.Option(min=1, help="At most so many.")] = SHOWN,
     offset: Annotated[int, typer.Option(min=0, help="Leave out so many of the latest.")] = 0,
-    folder: Folder = HERE,
+    folder: Folder = None,
     index: Index = None,
     json: Json = None,
 ) -> None:
     """Runs in whose name, experiment, rig, notes, tags, or verdict every word occurs."""
     refuse_existing(json)
-    catalogue = Catalogue(folder, index)
+    catalogue = Catalogue(_chosen(folder), index)
     catalogue.refresh()
     page = catalogue.search(" ".join(words or ()), tag, limit, offset)
     if json is not None:
@@ -53,7 +62,7 @@ def search(
 
 
 @app.command()
-def show(which: Which, *, folder: Folder = HERE, index: Index = None) -> None:
+def show(which: Which, *, folder: Folder = None, index: Index = None) -> None:
     """All that the catalogue knows of a run, as JSON."""
     catalogue, number = _one(which, folder, index)
     typer.echo(json_library.dumps(catalogue.get(number).row(), indent=2))
@@ -67,7 +76,7 @@ def note(
     tag: Annotated[list[str] | None, typer.Option(help="A tag to give. Repeatable.")] = None,
     untag: Annotated[list[str] | None, typer.Option(help="A tag to take. Repeatable.")] = None,
     operator: Annotated[str | None, typer.Option(help="Who ran it.")] = None,
-    folder: Folder = HERE,
+    folder: Folder = None,
     index: Index = None,
 ) -> None:
     """Write notes and tags beside a recording; they outlive the index."""
@@ -78,9 +87,9 @@ def note(
 
 
 @app.command()
-def rebuild(*, folder: Folder = HERE, index: Index = None) -> None:
+def rebuild(*, folder: Folder = None, index: Index = None) -> None:
     """Read every recording again, into a new index where the old one is damaged."""
-    done = Catalogue(folder, index).rebuild()
+    done = Catalogue(_chosen(folder), index).rebuild()
     Console(stderr=True).print(f"{done.added + done.changed + done.unchanged} recordings")
 
 
@@ -98,14 +107,14 @@ def prune(
         int | None,
         typer.Option(help="Do not ask: delete if it is exactly so many recordings."),
     ] = None,
-    folder: Folder = HERE,
+    folder: Folder = None,
     index: Index = None,
 ) -> None:
     """List recordings that are older than an age and bear no tag that keeps them.
 
     With --delete they and the files beside them are deleted, once their number is confirmed.
     """
-    catalogue = Catalogue(folder, index)
+    catalogue = Catalogue(_chosen(folder), index)
     catalogue.refresh()
     found = let_go(catalogue.all(), age(older_than), keep_tag or (), datetime.now(UTC))
     _show(found)
@@ -126,11 +135,20 @@ def prune(
         raise RecordingError("kept: " + "; ".join(done.kept))
 
 
-def _one(which: str, folder: Path, index: Path | None) -> tuple[Catalogue, str]:
+def _chosen(folder: Path | None) -> Path:
+    """The folder that is meant: in that of a daemon the same runs have the daemon's ids."""
+    if folder is not None:
+        return folder
+    if not BENCH.is_file():
+        return Path()
+    return Path(str(read_toml(BENCH).get("recordings", RECORDINGS)))
+
+
+def _one(which: str, folder: Path | None, index: Path | None) -> tuple[Catalogue, str]:
     """The catalogue, and the id of a run that was named by id or by path."""
     path = Path(which)
     named = path.suffix.lower() == ".mcap"
-    catalogue = Catalogue(path.parent if named and folder == HERE else folder, index)
+    catalogue = Catalogue(path.parent if named and folder is None else _chosen(folder), index)
     catalogue.refresh()
     return catalogue, catalogue.id_of(path) if named else which
 

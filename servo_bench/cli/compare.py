@@ -54,11 +54,12 @@ def _show(found: Comparison) -> None:
 
 
 def _row(change: Change) -> tuple[str, ...]:
-    half = (change.interval()[1] - change.interval()[0]) / 2.0
+    factor, unit = change.shown
+    half = factor * (change.interval()[1] - change.interval()[0]) / 2.0
     return (
-        *(change.symbol, _short(change.a), _short(change.b)),
-        f"{change.difference:+.3g} ± {half:.2g}",
-        *(change.unit, change.where),
+        *(change.label, _short(factor * change.a), _short(factor * change.b)),
+        f"{factor * change.difference:+.3g} ± {half:.2g}",
+        *(unit, change.where),
     )
 
 

@@ -22,10 +22,10 @@ _HEAD = """\
 # Reference
 
 Every command with its options (`--help` prints the same), every key of the files that people write
-and of the verdict, and every exit code. In rig, experiment, bench, and plan a number may be given
-in a reader's unit instead: `_deg` for `_rad`, `_deg_s` or `_rpm` for `_rad_s`, `_mnm` for `_nm`,
-`_ms` for `_s`. Written by `servo-bench reference --markdown`; a test keeps
-it so. What to do with them is in the pages that [the index](index.md) names."""
+and of the verdict, and every exit code. In rig, experiment, bench, and plan a number, or a list of
+numbers, may be given in a reader's unit instead: `_deg` for `_rad`, `_deg_s` or `_rpm` for
+`_rad_s`, `_mnm` for `_nm`, `_ms` for `_s`. Written by `servo-bench reference --markdown`; a test
+keeps it so. What to do with them is in the pages that [the index](index.md) names."""
 
 
 def add_to(app: typer.Typer) -> None:

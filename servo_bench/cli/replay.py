@@ -131,7 +131,7 @@ def _stored(path: Path) -> dict[str, Any]:
     if table is None:
         raise RecordingError(
             f"there are no figures of then at {path}. Name them with --figures, or keep today's "
-            "for the next time: servo-bench analyse REC --json REC.json"
+            f"for the next time: servo-bench analyse {path.with_suffix('.mcap')} --json {path}"
         )
     return table
 

@@ -12,8 +12,8 @@ from servo_bench.cli.stopping import asked_to_stop
 from servo_bench.excitation.experiment import Experiment, load_experiment
 from servo_bench.files import find
 from servo_bench.rig import RigConfig, load_rig
-from servo_bench.run.busloop import PRIORITY
 from servo_bench.run.lock import holding_rig
+from servo_bench.run.realtime import PRIORITY
 from servo_bench.run.session import RunSummary
 from servo_bench.run.session import run as run_session
 from sim_rig.process import spawn
@@ -83,7 +83,16 @@ def play(
             rig = rig.with_bus(**started.bus)
         stack.enter_context(holding_rig(rig.bus, who))
         progress = stack.enter_context(run_progress(console))
-        return run_session(plan, rig, out, progress=progress, stop=stop, priority=priority, cpu=cpu)
+        return run_session(
+            plan,
+            rig,
+            out,
+            progress=progress,
+            stop=stop,
+            stopped_by=lambda: stop.by,
+            priority=priority,
+            cpu=cpu,
+        )
 
 
 def tell_summary(summary: RunSummary, console: Console) -> None:

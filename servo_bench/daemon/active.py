@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import Any
 
 from servo_bench.clock import monotonic_ns
+from servo_bench.daemon.job import JOB, RESULT, RUNNER, RunJob, RunResult
 from servo_bench.daemon.link import Message, RunnerLink
 from servo_bench.daemon.live import TableSource
 from servo_bench.daemon.queue import Waiting
-from servo_bench.daemon.runner import JOB, RESULT, RUNNER, RunJob, RunResult
 from servo_bench.daemon.sockets import listening
 from servo_bench.daemon.store import read_json, write_json
 

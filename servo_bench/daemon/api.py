@@ -13,7 +13,7 @@ from servo_bench.daemon import models as m
 from servo_bench.daemon.answers import answer_errors, daemon_of
 from servo_bench.daemon.config import Bench
 from servo_bench.daemon.core import Daemon
-from servo_bench.daemon.guard import COOKIE, SESSION_S, Guard, Sessions
+from servo_bench.daemon.guard import COOKIE, SESSION_S, Guard, Sessions, elsewhere
 from servo_bench.daemon.page_files import page_file
 from servo_bench.daemon.problems import MEDIA_TYPE, ApiError
 from servo_bench.daemon.reference import reference
@@ -247,9 +247,10 @@ async def compare(daemon: Served, a: m.RunId, b: m.RunId) -> dict[str, Any]:
 
 
 @api.post("/stop")
-async def stop(daemon: Served, asked: m.StopRequest | None = None) -> m.Stopped:
+async def stop(daemon: Served, request: Request, asked: m.StopRequest | None = None) -> m.Stopped:
     """Stop the rig now and hold the queue. Needs no turn, and may be asked any number of times."""
-    standing = daemon.stop((asked or m.StopRequest()).words())
+    by = (asked or m.StopRequest()).words(elsewhere=elsewhere(request.client))
+    standing = daemon.stop(by)
     return m.Stopped(standing=standing, state=daemon.state)
 
 

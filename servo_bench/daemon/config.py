@@ -26,7 +26,7 @@ from servo_bench.errors import ConfigError
 from servo_bench.excitation.experiment import Experiment, load_experiment
 from servo_bench.files import SHIPPED, Value, find, read_toml, validated
 from servo_bench.rig import RigConfig, load_rig
-from servo_bench.run.busloop import PRIORITY
+from servo_bench.run.realtime import PRIORITY
 
 PORT = 8420
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")

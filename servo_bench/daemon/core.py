@@ -18,8 +18,8 @@ from servo_bench.catalogue.beside import Notes, write_notes
 from servo_bench.clock import NS_PER_S, monotonic_ns
 from servo_bench.daemon import active as runs
 from servo_bench.daemon.active import ActiveRun
-from servo_bench.daemon.aftermath import standing_sentence
 from servo_bench.daemon.config import Bench
+from servo_bench.daemon.job import RunJob, RunResult
 from servo_bench.daemon.jobs import Job, Jobs, Kind
 from servo_bench.daemon.live import ReplaySource, Source, TableSource
 from servo_bench.daemon.log import Log
@@ -34,11 +34,10 @@ from servo_bench.daemon.requests import (
     new_file,
     recording_bytes,
 )
-from servo_bench.daemon.runner import RunJob, RunResult
 from servo_bench.errors import BenchError, RecordingError
 from servo_bench.recording.recording import Recording
+from servo_bench.run.limits import STOP_GRACE_S
 from servo_bench.run.lock import Holder, Lock, rig_lock_path, take
-from servo_bench.run.session import STOP_GRACE_S
 
 WATCH_EVERY_S = 0.05
 BUS_SILENT_S = 0.8
@@ -383,7 +382,7 @@ class Daemon:
         if run.job.simulated or result.error not in ("", "WireError"):
             return result
         self.reachable = False
-        words = await asyncio.to_thread(standing_sentence, run.job.rig, run.job.experiment.period_s)
+        words = await asyncio.to_thread(_standing, run.job)
         return replace(result, sentence=f"{result.sentence} {words}".strip())
 
     def _let_go_of(self, run: ActiveRun) -> None:
@@ -484,6 +483,13 @@ class Daemon:
         if not task.cancelled() and (error := task.exception()) is not None:
             self.log.error("unexpected", exc_info=error)
             self.stop("a fault of the daemon")
+
+
+def _standing(job: RunJob) -> str:
+    """What the drive says about itself after a run, as a sentence; takes seconds."""
+    from servo_bench.daemon.aftermath import standing_sentence  # noqa: PLC0415 - all drivers
+
+    return standing_sentence(job.rig, job.experiment.period_s)
 
 
 def _without_a_word(run: ActiveRun) -> RunResult:

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
 from urllib.parse import urlsplit
 
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import Address, Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from servo_bench.clock import NS_PER_S, monotonic_ns
@@ -241,3 +241,8 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, error: ApiError) -
         }
     )
     await send({"type": f"{prefix}.response.body", "body": body})
+
+
+def elsewhere(client: Address | None) -> str:
+    """The address that a request came from, "" where that is this machine."""
+    return "" if client is None or is_loopback(client.host) else client.host

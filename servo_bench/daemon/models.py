@@ -58,10 +58,14 @@ class StopRequest(Asked):
     operator: Text = ""
     reason: Text = ""
 
-    def words(self, nobody: str = "an operator") -> str:
-        """Who stops and why, as it is shown; `nobody` where no name came."""
+    def words(self, nobody: str = "an operator", elsewhere: str = "") -> str:
+        """Who stops and why, as it is shown; `nobody` where no name came.
+
+        `elsewhere`: the address of the machine that asks, if it is another one.
+        """
         reason = f" ({self.reason})" if self.reason else ""
-        return f"{self.operator or nobody}{reason}"
+        machine = f" from {elsewhere}" if elsewhere else ""
+        return f"{self.operator or nobody}{reason}{machine}"
 
 
 class ArmRequest(Asked):

@@ -20,9 +20,7 @@ from servo_bench.daemon.problems import ApiError
 from servo_bench.errors import ConfigError
 from servo_bench.excitation.experiment import Experiment, experiment_from_table
 from servo_bench.recording.recording import SAMPLE_DTYPE
-from servo_bench.run.axes import axis_settings
 from servo_bench.run.limits import check_schedule
-from servo_bench.run.session import check_memory
 
 SPARE_BYTES = 16 << 20
 """What must stay free beside a run's recording: notes, queue, report."""
@@ -55,6 +53,9 @@ def chosen_experiment(bench: Bench, name: str, overrides: Overrides) -> Experime
             f"there is no experiment {name[:80]!r}; there are {', '.join(bench.experiments)}. "
             "Others must be added to the daemon's configuration.",
         )
+    from servo_bench.run.axes import axis_settings  # noqa: PLC0415 - all drivers: /api/health
+    from servo_bench.run.session import check_memory  # noqa: PLC0415 - does not wait for them
+
     changed = experiment_from_table(_table(experiment, overrides), "the request")
     schedule = changed.schedule()
     check_memory(changed)

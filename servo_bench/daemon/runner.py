@@ -12,85 +12,18 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from types import FrameType
-from typing import Any, Literal
+from typing import Any
 
 from servo_bench.daemon.control import Control
+from servo_bench.daemon.job import JOB, RESULT, RUNNER, RunJob, RunResult
 from servo_bench.daemon.store import read_json, write_json
-from servo_bench.errors import BenchError, ConfigError, RecordingError, gathered
-from servo_bench.excitation.experiment import Experiment, experiment_from_table
-from servo_bench.rig import RigConfig, rig_from_table
+from servo_bench.errors import BenchError, RecordingError, gathered
 from servo_bench.run.session import RunSummary, Status, run
 from sim_rig.process import spawn
-
-JOB, RUNNER, RESULT = "job.json", "runner.json", "result.json"
-Outcome = Literal["complete", "stopped", "faulted", "nothing", "cut"]
-
-
-@dataclass(frozen=True, slots=True)
-class RunJob:
-    """What the daemon hands over. `facts` go into the recording's provenance."""
-
-    id: str
-    experiment: Experiment
-    rig: RigConfig
-    out: Path
-    simulated: bool
-    priority: int
-    cpu: int | None
-    stop_alone_s: float | None
-    facts: dict[str, str]
-
-    def table(self) -> dict[str, Any]:
-        """The job as it stands in `job.json`."""
-        return {
-            "id": self.id,
-            "experiment": self.experiment.model_dump(mode="json"),
-            "rig": self.rig.model_dump(mode="json"),
-            "out": str(self.out),
-            "simulated": self.simulated,
-            "priority": self.priority,
-            "cpu": self.cpu,
-            "stop_alone_s": self.stop_alone_s,
-            "facts": self.facts,
-        }
-
-    @classmethod
-    def from_table(cls, table: Mapping[str, Any]) -> "RunJob":
-        """The job again; ConfigError where the table is none."""
-        try:
-            return cls(
-                **{
-                    **table,
-                    "experiment": experiment_from_table(table["experiment"], JOB),
-                    "rig": rig_from_table(table["rig"], JOB),
-                    "out": Path(table["out"]),
-                }
-            )
-        except (KeyError, TypeError) as error:
-            raise ConfigError(f"{JOB} is no job of this version: {error}. Remove it.") from error
-
-
-@dataclass(frozen=True, slots=True)
-class RunResult:
-    """What became of a run, in one sentence and a few numbers."""
-
-    outcome: Outcome
-    sentence: str
-    error: str = ""
-    slots: int = 0
-    played: int = 0
-    missed: int = 0
-    notes: tuple[str, ...] = ()
-
-    @classmethod
-    def from_table(cls, table: Mapping[str, Any]) -> "RunResult":
-        """The result again, from its JSON."""
-        return cls(**{**table, "notes": tuple(table.get("notes", ()))})
 
 
 def play(job: RunJob, control: Control) -> RunResult:
@@ -107,6 +40,7 @@ def play(job: RunJob, control: Control) -> RunResult:
                 job.out,
                 progress=lambda status: control.tell(_status_table(status)),
                 stop=lambda: control.stop_asked,
+                stopped_by=lambda: control.asked_by,
                 opened=lambda table: control.show(table, job.experiment.period_s),
                 facts=job.facts,
                 priority=job.priority,

@@ -8,6 +8,7 @@ from fastapi import WebSocket, WebSocketDisconnect
 from pydantic import ValidationError
 
 from servo_bench.daemon.core import Daemon
+from servo_bench.daemon.guard import elsewhere
 from servo_bench.daemon.live import Viewer
 from servo_bench.daemon.models import Status, StopRequest
 
@@ -69,7 +70,7 @@ class Viewers:
             if message["type"] == "websocket.disconnect":
                 return
             if (asked := _stop_in(message.get("text"))) is not None:
-                self._daemon.stop(asked.words("an operator at the page"))
+                self._daemon.stop(asked.words("an operator at the page", elsewhere(socket.client)))
 
 
 def _stop_in(text: str | None) -> StopRequest | None:

@@ -15,7 +15,6 @@ the package `galois` would bring tables and seconds of compilation for it.
 from functools import cache
 from itertools import product
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -111,14 +110,23 @@ def _reduced(field: int, polynomial: list[int], modulus: tuple[int, ...]) -> lis
     return rest[-degree:]
 
 
-@numba.njit(cache=True)
 def _register(field: int, feedback: NDArray[np.int64], chips: int) -> NDArray[np.int64]:
-    """The shift register from all ones; a recursion over a million chips, hence numba."""
+    """The shift register from all ones, shape (chips,): s(t + n) = sum_i feedback[i] s(t + i).
+
+    f(x)^q = f(x^q) for q = p^k, so the same recursion holds at q times its lags: with n q chips
+    known, the next q come at once.
+    """
     degree = feedback.size
     out = np.ones(max(chips, degree), np.int64)
-    for t in range(chips - degree):
-        total = 0
-        for i in range(degree):
-            total += feedback[i] * out[t + i]
-        out[t + degree] = total % field
+    known, stride = degree, 1
+    while known < chips:
+        if known >= degree * stride * field:
+            stride *= field
+        fresh = min(stride, chips - known)
+        begin = known - degree * stride
+        total = np.zeros(fresh, np.int64)
+        for i in np.flatnonzero(feedback):
+            total += feedback[i] * out[begin + i * stride : begin + i * stride + fresh]
+        out[known : known + fresh] = total % field
+        known += fresh
     return out[:chips]

@@ -21,7 +21,7 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_bench.kernels.transform import permutations
+from servo_bench.excitation.msequence import checked_polynomial, degree, m_sequence
 
 ORDERS = (1, 2, 3)
 """Orders of the kernels that are measured."""
@@ -29,8 +29,16 @@ ORDERS = (1, 2, 3)
 
 @cache
 def registers(polynomial: str) -> NDArray[np.int32]:
-    """w(t): the n bits from t on, bit i being s(t + i); shape (N,), read-only, all distinct."""
-    return permutations(polynomial)[0]
+    """w(t): the n bits from t on, bit i being s(t + i); shape (N,), read-only, all distinct.
+
+    ConfigError where the polynomial is not primitive.
+    """
+    bits = (m_sequence(polynomial) < 0).astype(np.int32)
+    words = np.zeros_like(bits)
+    for i in range(degree(checked_polynomial(polynomial))):
+        words |= np.roll(bits, -i) << i
+    words.setflags(write=False)
+    return words
 
 
 @cache

@@ -20,7 +20,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_bench.excitation.msequence import checked_polynomial, degree, m_sequence
+from servo_bench.excitation.msequence import checked_polynomial, degree
+from servo_bench.kernels.shifts import registers
 
 Array = NDArray[np.float64]
 Table = NDArray[np.int32]
@@ -33,15 +34,9 @@ CACHED_LOG2 = 13
 def permutations(polynomial: str) -> tuple[Table, Table]:
     """w(t) and a(k), each of shape (N,), read-only. ConfigError if not primitive."""
     f = checked_polynomial(polynomial)
-    n = degree(f)
-    bits = (m_sequence(polynomial) < 0).astype(np.int32)
-    words = np.zeros_like(bits)
-    for i in range(n):
-        words |= np.roll(bits, -i) << i
-    forms = _inverse_powers(f, n)
-    for table in (words, forms):
-        table.setflags(write=False)
-    return words, forms
+    forms = _inverse_powers(f, degree(f))
+    forms.setflags(write=False)
+    return registers(polynomial), forms
 
 
 def m_transform(response: Array, polynomial: str) -> Array:

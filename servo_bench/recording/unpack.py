@@ -1,5 +1,6 @@
 """Unpacking a chunk within bounds: what a file declares about its sizes is never trusted."""
 
+import threading
 import zlib
 
 import lz4.frame
@@ -8,7 +9,15 @@ from mcap.records import Chunk
 
 from servo_bench.recording.format import MAX_CHUNK_BYTES, MIB
 
-_ZSTD = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES)
+
+class _Zstd(threading.local):
+    """One decompressor for each thread: its memory is not for two at once."""
+
+    def __init__(self) -> None:
+        self.decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES)
+
+
+_ZSTD = _Zstd()
 
 
 class DamageError(Exception):
@@ -43,7 +52,7 @@ def _decompress(compression: str, data: bytes, limit: int) -> bytes:
         return data[:limit]
     try:
         if compression == "zstd":
-            unpacked: bytes = _ZSTD.stream_reader(data).read(limit)
+            unpacked: bytes = _ZSTD.decompressor.stream_reader(data).read(limit)
             return unpacked
         if compression == "lz4":
             plain: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=limit)

@@ -5,6 +5,9 @@ from typing import Any, NamedTuple
 
 from scipy.stats import norm
 
+from servo_bench.report.wording import DEG
+from sim_rig.effects.units import SUFFIXES
+
 ALPHA = 1e-4
 """The chance of crying change on two runs of the same rig, over all tests of a comparison."""
 
@@ -24,6 +27,22 @@ class Change(NamedTuple):
     b: float
     standard_error: float
     p_value: float
+
+    @property
+    def label(self) -> str:
+        """The symbol as words: `coulomb.torque_nm` as "coulomb torque"."""
+        if "." not in self.symbol:
+            return self.symbol
+        suffix = max((end for end in SUFFIXES if self.symbol.endswith(end)), key=len, default="")
+        stem = self.symbol.removesuffix(suffix) if suffix.startswith("_") else self.symbol
+        return stem.replace(".", " ").replace("_", " ")
+
+    @property
+    def shown(self) -> tuple[float, str]:
+        """Factor and unit in which people read it: angles in degrees."""
+        if self.unit == "rad":
+            return DEG, "deg"
+        return 1.0, self.unit.replace("m2", "m²")
 
     @property
     def difference(self) -> float:
@@ -50,6 +69,7 @@ class Change(NamedTuple):
         low, high = self.interval()
         table = {
             **self._asdict(),
+            "label": self.label,
             "difference": self.difference,
             "share": self.share,
             "interval_low": low,

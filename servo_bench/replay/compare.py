@@ -92,11 +92,7 @@ class Comparison:
                 )
 
     def _unchanged(self) -> str:
-        limits = [
-            f"{change.symbol} {1.96 * change.standard_error:.2g} {change.unit}"
-            + (f" ({1.96 * change.standard_error / abs(change.a):.2%})" if change.is_known else "")
-            for change in self.parameters
-        ]
+        limits = [_known_to(change) for change in self.parameters]
         seen = f" Differences are known to, at 95 %: {', '.join(limits)}." if limits else ""
         return f"Nothing has changed that chance does not explain.{seen}"
 
@@ -183,9 +179,17 @@ def _flat(table: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def _sentence(change: Change) -> str:
-    low, high = change.interval()
+    factor, unit = change.shown
+    low, high = (factor * end for end in change.interval())
     share = f" ({change.share:+.2%})" if change.is_known else ""
     return (
-        f"{change.symbol} ({change.where}) has changed from {change.a:.6g} to {change.b:.6g} "
-        f"{change.unit}{share}; 95 % of the difference: {low:+.3g} to {high:+.3g}."
+        f"{change.label} ({change.where}) has changed from {factor * change.a:.6g} to "
+        f"{factor * change.b:.6g} {unit}{share}; 95 % of the difference: {low:+.3g} to {high:+.3g}."
     )
+
+
+def _known_to(change: Change) -> str:
+    factor, unit = change.shown
+    half = 1.96 * change.standard_error
+    share = f" ({half / abs(change.a):.2%})" if change.is_known else ""
+    return f"{change.label} {factor * half:.2g} {unit}{share}"

@@ -34,12 +34,11 @@ from servo_bench.rig import DriveConfig, Limits, RigConfig, rig_from_table
 from servo_bench.run.axes import open_axis
 from servo_bench.run.limits import Guard, check_missed
 from servo_bench.run.pace import Pace, pace_of
-from servo_bench.run.realtime import follow_parent, make_punctual
+from servo_bench.run.realtime import PRIORITY, follow_parent, make_punctual
 from servo_bench.run.rows import write_answer, write_fast
 from servo_bench.run.supervisor import check_watched, start
 from servo_bench.run.table import SlotTable, Stage
 
-PRIORITY = 80
 SETTLE_S = 0.5
 Tell = Callable[..., None]
 

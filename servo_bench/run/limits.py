@@ -18,6 +18,8 @@ from servo_bench.rig import Limits
 DEVICE_TIME_RANGE_US = 1 << 32
 """Where CiA 301's 0x1013 wraps."""
 LEAST_BLIND_PERIODS = 3
+STOP_GRACE_S = 5.0
+"""How long a run's processes may take to end, beyond what the drive itself may."""
 
 
 def check_schedule(schedule: Schedule, limits: Limits) -> None:

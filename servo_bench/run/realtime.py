@@ -13,6 +13,8 @@ PR_SET_PDEATHSIG = 1
 PR_SET_TIMERSLACK = 29
 MCL_CURRENT_AND_FUTURE = 1 | 2
 SWITCH_INTERVAL_S = 0.0005
+PRIORITY = 80
+"""SCHED_FIFO priority of the bus loop, where nobody says another."""
 
 
 def make_punctual(priority: int) -> tuple[str, ...]:

@@ -33,15 +33,17 @@ from servo_bench.recording.provenance import provenance
 from servo_bench.recording.recording import Event
 from servo_bench.rig import RigConfig
 from servo_bench.run.axes import axis_settings
-from servo_bench.run.busloop import PRIORITY, Job
+from servo_bench.run.busloop import Job
 from servo_bench.run.judge import KINDS
-from servo_bench.run.limits import check_schedule
+from servo_bench.run.limits import STOP_GRACE_S, check_schedule
+from servo_bench.run.realtime import PRIORITY
 from servo_bench.run.table import UNPLAYED, SlotTable
 
 WRITE_EVERY_S = 0.1
 STATUS_WINDOW_S = 2.0
-STOP_GRACE_S = 5.0
 KERNEL_ORDER = 3
+OPERATOR = "the operator"
+"""Who is said to have stopped a run where nobody knows better."""
 NO_FACTS: Mapping[str, str] = MappingProxyType({})
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 """The bus loop forks its supervisor, which a process of several threads must not do."""
@@ -81,6 +83,7 @@ def run(
     *,
     progress: Callable[[Status], None] = lambda _: None,
     stop: Callable[[], bool] = lambda: False,
+    stopped_by: Callable[[], str] = lambda: OPERATOR,
     opened: Callable[[SlotTable], None] = lambda _: None,
     facts: Mapping[str, str] = NO_FACTS,
     priority: int = PRIORITY,
@@ -89,11 +92,12 @@ def run(
     """Play `experiment` on `rig` and record it to `out`.
 
     `stop` is asked about ten times a second; once it says yes the rig is stopped and the recording
-    closed. `opened` gets the slot table before anything is enabled: who keeps a duplicate of its
-    descriptor can look on, and ask to stop within a slot. `facts` are added to the provenance.
-    Raises ConfigError or LimitError before anything is enabled; WireError, DriveError,
-    LimitError or RecordingError after, when the rig has been stopped and the recording closed. A
-    run that ended before its first sample leaves no file.
+    closed. `stopped_by` says for the record who wanted that, "" as long as it is not known.
+    `opened` gets the slot table before anything is enabled: who keeps a duplicate of its descriptor
+    can look on, and ask to stop within a slot. `facts` are added to the provenance. Raises
+    ConfigError or LimitError before anything is enabled; WireError, DriveError, LimitError or
+    RecordingError after, when the rig has been stopped and the recording closed. A run that ended
+    before its first sample leaves no file.
     """
     schedule = experiment.schedule()
     check_memory(experiment)
@@ -107,7 +111,7 @@ def run(
         try:
             with writer:
                 with _Loop(Job(experiment, rig, table.descriptor, priority, cpu)) as loop:
-                    watch.until_over(loop, stop)
+                    watch.until_over(loop, stop, stopped_by)
                 error = watch.what_ended_it(loop)
                 delays = alignment(table.rows[table.rows["slot"] != UNPLAYED])
                 writer.alignment(delays)
@@ -213,6 +217,10 @@ def _past(begun_ns: int | None, patience_ns: int) -> bool:
     return begun_ns is not None and monotonic_ns() - begun_ns >= patience_ns
 
 
+def _stop_event(asked_ns: int, by: str) -> Event:
+    return Event(asked_ns, "stop asked", f"by {by}", {"by": by})
+
+
 def _event(line: bytes) -> Told:
     message = json.loads(line)
     event = Event(message["time_ns"], message["kind"], message["text"], message["data"])
@@ -240,13 +248,16 @@ class _Watch:
         self.played = 0
         self.sentences: list[str] = []
 
-    def until_over(self, loop: _Loop, stop: Callable[[], bool]) -> None:
+    def until_over(
+        self, loop: _Loop, stop: Callable[[], bool], stopped_by: Callable[[], str]
+    ) -> None:
         """Write and report until the loop's process has ended and everything is written.
 
         A loop that has been asked to stop and hangs, or a supervisor that outlives its loop, is
-        waited for no longer than a stop can take.
+        waited for no longer than a stop can take. A stop is recorded at its time when it is known
+        who asked: the word in shared memory may be seen before the name has come.
         """
-        over = False
+        over = named = False
         patience_ns = round(loop.stop_takes_s * NS_PER_S)
         asked_ns: int | None = None
         ended_ns: int | None = None
@@ -262,7 +273,11 @@ class _Watch:
             if asked_ns is None and stop():
                 asked_ns = monotonic_ns()
                 self._table.ask_stop()
-                self._writer.event(Event(asked_ns, "stop asked", "the operator asked"))
+            if asked_ns is not None and not named and (by := stopped_by()):
+                self._writer.event(_stop_event(asked_ns, by))
+                named = True
+        if asked_ns is not None and not named:
+            self._writer.event(_stop_event(asked_ns, OPERATOR))
 
     def _note(self, event: Event, *, is_end: bool) -> None:
         self._writer.event(event)

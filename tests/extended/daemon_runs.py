@@ -3,6 +3,7 @@
 pytest tests/extended/daemon_runs.py
 """
 
+import getpass
 import json
 import signal
 import subprocess
@@ -43,6 +44,12 @@ def rig() -> Iterator[RigConfig]:
 def recordings(folder: Path) -> list[Path]:
     """The recordings, the first one first."""
     return sorted((folder / "recordings").glob("*.mcap"))
+
+
+def stopped_by(recording: Path) -> str:
+    """Who asked for the stop, as the recording says it."""
+    (stop,) = (event for event in load(recording).events if event.kind == "stop asked")
+    return str(stop.data["by"])
 
 
 def test_a_run_is_played_watched_recorded_and_catalogued(rig: RigConfig, tmp_path: Path) -> None:
@@ -168,7 +175,7 @@ def test_sigterm_stops_the_rig_first_and_leaves_a_whole_recording(
     with Daemon(write_bench(tmp_path, rig)) as daemon:
         daemon.play("long")
         assert daemon.end() == 0
-    assert "stop asked" in [event.kind for event in load(recordings(tmp_path)[0]).events]
+    assert stopped_by(recordings(tmp_path)[0]) == "the daemon's shutdown"
     assert not list((tmp_path / "state/runs").iterdir())
     assert_standing(rig)
 
@@ -195,6 +202,8 @@ def test_stop_works_from_the_command_line_with_and_without_a_daemon(
         assert "1 run(s) were told" in done.stderr
         wait_for_end(runner)
         daemon.start()
+    for recording in recordings(tmp_path):
+        assert stopped_by(recording) == f"{getpass.getuser()} at a terminal"
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 3
     assert "emergency stop" in done.stderr

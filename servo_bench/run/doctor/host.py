@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from servo_bench.clock import NS_PER_S, monotonic_ns
-from servo_bench.run.busloop import PRIORITY
 from servo_bench.run.finding import Finding, change, note, ok
+from servo_bench.run.realtime import PRIORITY
 
 LOCKED_BYTES = 128 << 20
 """What a bus loop and its supervisor hold, with room."""

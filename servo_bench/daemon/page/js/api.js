@@ -10,6 +10,7 @@ export class Problem extends Error {
 
 const UNREACHABLE = "The daemon did not answer. See whether it runs and whether this machine reaches it.";
 const PATIENCE_MS = 15_000;
+const NO_CONTENT = 204;
 
 /** Call the daemon; the JSON of its answer. Problem where it refuses or does not answer. */
 export async function call(method, path, body, { patience_ms = PATIENCE_MS, keepalive = false } = {}) {
@@ -27,6 +28,8 @@ export async function call(method, path, body, { patience_ms = PATIENCE_MS, keep
     throw new Problem(0, error.name === "TimeoutError" ? `${UNREACHABLE} (${patience_ms / 1e3} s)` : UNREACHABLE);
   }
   const said = await answer.json().catch(() => null);
+  // an answer that was cut is none: whoever must know asks again
+  if (answer.ok && said === null && answer.status !== NO_CONTENT) throw new Problem(0, UNREACHABLE);
   if (answer.ok) return said;
   if (answer.status === 401) dispatchEvent(new Event("login-needed"));
   throw new Problem(answer.status, detailOf(said) ?? `The daemon refused with status ${answer.status}.`, said?.type);

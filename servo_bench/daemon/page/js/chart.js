@@ -30,7 +30,7 @@ export function line(label, stroke, extra = {}) {
  *
  * `lines` as from `line`; `rangeY` gives [low, high]; `label` is what a screen reader reads.
  */
-export function chart({ title, lines, data, height = 150, rangeX, rangeY, caption = [], showX = true, bands = [], label = title, hooks = {} }) {
+export function chart({ title, lines, data, height = 150, rangeX, rangeY, caption = [], showX = true, bands = [], label = title, hooks = {}, legend = lines.length > 1 }) {
   const key = lines.map((one) => {
     const swatch = h("span", { class: "swatch" });
     swatch.style.borderTopColor = one.stroke;
@@ -38,7 +38,7 @@ export function chart({ title, lines, data, height = 150, rangeX, rangeY, captio
     return h("span", { class: "key" }, swatch, one.label);
   });
   const place = h("div", { class: "plot", role: "img", "aria-label": label });
-  const figure = h("figure", { class: "chart" }, h("figcaption", {}, h("strong", {}, title), lines.length > 1 ? key : [], caption), place);
+  const figure = h("figure", { class: "chart" }, h("figcaption", {}, h("strong", {}, title), legend ? key : [], caption), place);
   const plot = new uPlot(
     {
       width: 600,
@@ -76,5 +76,6 @@ export function bandChart(title, t_s, { min, max }, scale) {
     bands: [{ series: [1, 2], fill: COLOURS.band }],
     data: [t_s, shown(max), shown(min)],
     height: 120,
+    legend: false,
   });
 }

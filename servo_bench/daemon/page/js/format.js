@@ -21,6 +21,13 @@ export function number(value, digits = 4) {
   return text.replaceAll("-", "−");
 }
 
+/** With so many decimals, always: what is read while it changes must not jump. */
+export function steady(value, decimals) {
+  if (!known(value)) return NOTHING;
+  const text = value.toFixed(decimals);
+  return (Number(text) === 0 ? text.replace("-", "") : text).replaceAll("-", "−");
+}
+
 export function quantity(value, unit, digits = 4) {
   return known(value) ? `${number(value, digits)} ${unit}`.trim() : NOTHING;
 }
@@ -40,6 +47,7 @@ export function duration(seconds) {
 /** A time that is small: µs or ms, whichever reads better. */
 export function lateness(seconds) {
   if (!known(seconds)) return NOTHING;
+  if (seconds === 0) return "0 µs";
   return Math.abs(seconds) < 1e-3 ? quantity(seconds * 1e6, "µs", 3) : quantity(seconds * 1e3, "ms", 3);
 }
 
@@ -62,12 +70,16 @@ const UNITS = [
   ["_rad", "°", degrees],
   ["_percent", "%", (value) => value],
   ["_nm", "N m", (value) => value],
-  ["_s", "ms", (value) => value * 1e3],
 ];
+const PEOPLE = /\b(coulomb|stribeck|hertz)\b/g;
 
 /** A name of the files as people read it. */
 export const words = (text) =>
-  text.replaceAll("_", " ").replace(/\bvaf\b/, "VAF").replace(/\border(\d)/, "order $1");
+  text
+    .replaceAll("_", " ")
+    .replace(/\bvaf\b/, "VAF")
+    .replace(/\border(\d)/, "order $1")
+    .replace(PEOPLE, (name) => name[0].toUpperCase() + name.slice(1));
 
 const READERS = { rad: ["°", degrees], "rad/s": ["°/s", degrees], 1: ["", (value) => value] };
 
@@ -90,5 +102,6 @@ export function figure(name, value) {
   for (const [suffix, unit, convert] of UNITS) {
     if (name.endsWith(suffix)) return [words(name.slice(0, -suffix.length)), quantity(convert(value), unit)];
   }
+  if (name.endsWith("_s")) return [words(name.slice(0, -2)), lateness(value)];
   return [words(name), number(value, 6)];
 }

@@ -80,7 +80,7 @@ export class Header {
     this.#state(status.state, WORDS[status.state] ?? status.state, detailOf(status));
     this.#limits(status.limits);
     this.banner("bus", status.bus_alive ? null : "alarm", "BUS GONE: the bus process is silent. The rig is being stopped; watch it.");
-    this.banner("fault", status.fault ? "alarm" : null, status.fault ? `Fault at ${when(status.fault.at_utc)}: ${status.fault.sentence}` : "");
+    this.banner("fault", status.fault ? "alarm" : null, status.fault ? `Fault at ${when(status.fault.at_utc)}: ${status.fault.sentence} To clear it look at the rig, then arm the queue.` : "");
     const began = status.run !== null && status.run.id !== before?.run?.id;
     const armed = before?.held && !status.held;
     if (began || armed) this.banner("stop", null);

@@ -2,7 +2,7 @@
 
 import { COLOURS, chart, line } from "./chart.js";
 import { COMMAND, CURRENT, LATENESS, LOAD_ANGLE, T, VELOCITY } from "./frames.js";
-import { NOTHING, number } from "./format.js";
+import { NOTHING, steady as decimals } from "./format.js";
 import { SteadyRange, extent } from "./range.js";
 import { Scroll } from "./scroll.js";
 import { h, say } from "./dom.js";
@@ -11,15 +11,16 @@ const PLOTS = [
   {
     title: "Velocity / °/s",
     height: 132,
+    decimals: 1,
     range: [2, null],
     lines: [
       [COMMAND, line("command", COLOURS.second, { width: 1 })],
       [VELOCITY, line("motor, measured", COLOURS.measured)],
     ],
   },
-  { title: "Load angle / °", range: [0.2, null], lines: [[LOAD_ANGLE, line("load", COLOURS.measured)]] },
-  { title: "Motor current / A", range: [0.1, null], lines: [[CURRENT, line("current", COLOURS.measured)]] },
-  { title: "Lateness of the loop / µs", range: [100, 0], lines: [[LATENESS, line("lateness", COLOURS.measured)]] },
+  { title: "Load angle / °", decimals: 2, range: [0.2, null], lines: [[LOAD_ANGLE, line("load", COLOURS.measured)]] },
+  { title: "Motor current / A", decimals: 3, range: [0.1, null], lines: [[CURRENT, line("current", COLOURS.measured)]] },
+  { title: "Lateness of the loop / µs", decimals: 0, range: [100, 0], lines: [[LATENESS, line("lateness", COLOURS.measured)]] },
 ];
 const NUMBERS_EVERY_S = 0.1;
 
@@ -37,9 +38,10 @@ export class LivePlots {
     this.drawing = requestAnimationFrame((now_ms) => this.#draw(now_ms));
   }
 
-  #plot({ title, lines, range, height = 84 }, last) {
+  #plot({ title, lines, range, decimals: digits, height = 84 }, last) {
     const steady = new SteadyRange(...range);
     const numbers = lines.map(() => h("span", { class: "now" }));
+    if (lines.length > 1) lines.forEach(([, drawn], index) => (numbers[index].style.color = drawn.stroke));
     const made = chart({
       title,
       height: height + (last ? 24 : 0),
@@ -51,7 +53,7 @@ export class LivePlots {
       rangeY: () => steady.range,
       label: `${title}, live`,
     });
-    return { ...made, lines, steady, numbers };
+    return { ...made, lines, steady, numbers, digits };
   }
 
   /** A frame was taken. */
@@ -88,8 +90,8 @@ export class LivePlots {
   }
 
   #sayNumbers() {
-    for (const { lines, numbers } of this.plots) {
-      lines.forEach(([channel], index) => say(numbers[index], this.plays ? number(this.samples.last[channel], 4) : NOTHING));
+    for (const { lines, numbers, digits } of this.plots) {
+      lines.forEach(([channel], index) => say(numbers[index], this.plays ? decimals(this.samples.last[channel], digits) : NOTHING));
     }
   }
 

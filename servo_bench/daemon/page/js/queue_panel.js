@@ -19,6 +19,7 @@ export class QueuePanel {
     this.element.classList.toggle("is-held", status.held);
     say(this.held, status.held ? `Held: ${status.held_reason || "an operator must arm it"}` : "Armed: the next run begins by itself.");
     this.arm.hidden = !status.held && status.fault === null;
+    this.arm.disabled = status.state === "stopping"; // refused until the rig stands
     const text = JSON.stringify(status.queue);
     if (text === this.text) return;
     this.text = text;

@@ -3,7 +3,7 @@
 import { T } from "./frames.js";
 import { get, post, remove, runPath } from "./api.js";
 import { h, say } from "./dom.js";
-import { number } from "./format.js";
+import { steady } from "./format.js";
 import { button } from "./sheet.js";
 
 const SPEEDS = [0.1, 0.5, 1, 2, 5, 10, 100, 1000];
@@ -100,7 +100,7 @@ export class ReplayBar {
   #follow() {
     const t_s = this.app.samples.last[T];
     if (this.playing && !this.held && Number.isFinite(t_s)) this.seek.value = String(t_s);
-    say(this.place, `${number(Number(this.seek.value), 4)} of ${number(this.seconds, 4)} s`);
+    say(this.place, `${steady(Number(this.seek.value), 1)} of ${steady(this.seconds, 1)} s`);
   }
 
   close() {

@@ -2,12 +2,13 @@
 
 import { call, get } from "../api.js";
 import { field, fill, h, say } from "../dom.js";
-import { NOTHING, degrees, figure, number, when } from "../format.js";
+import { NOTHING, degrees, figure, number, when, words } from "../format.js";
 import { linearKernel } from "../kernel_plots.js";
 import { COLOURS } from "../chart.js";
 
 const PATIENCE_MS = 300_000; // both runs are fitted
 const LISTED = 500;
+const LEAST_P = 1e-9; // smaller ones say nothing more
 const LARGEST_SHARE = 10; // of a value that is nearly nothing: no share says anything
 
 export function compareView(app, query) {
@@ -27,7 +28,7 @@ class ComparePage {
       "section",
       { "aria-label": "Compare two runs" },
       h("h1", {}, "Compare two runs"),
-      h("form", { class: "fields", onsubmit: (event) => this.#asked(event) }, field("Before (a)", this.a), field("After (b)", this.b), h("div", { class: "field" }, this.submit)),
+      h("form", { class: "fields pickers", onsubmit: (event) => this.#asked(event) }, field("Before (a)", this.a), field("After (b)", this.b), h("div", { class: "field" }, this.submit)),
       this.wrong,
       this.result,
     );
@@ -108,18 +109,18 @@ function row(changed, ...cells) {
 function changesTable(title, changes) {
   const rows = changes.map((change) => {
     const convert = change.unit === "rad" ? degrees : (value) => value;
-    const unit = change.unit === "rad" ? "°" : change.unit;
+    const unit = change.unit === "rad" ? "°" : change.unit.replace("m2", "m²");
     const shown = (value, digits = 5) => (value === null ? NOTHING : number(convert(value), digits));
     const told = change.share !== null && Math.abs(change.share) < LARGEST_SHARE;
     const share = told ? `${number(100 * change.share, 3)} %` : NOTHING;
-    const what = [`${change.symbol} / ${unit || "1"}`, h("span", { class: "hint note" }, change.where)];
+    const what = [`${words(change.label)} / ${unit || "1"}`, h("span", { class: "hint note" }, change.where)];
     return row(change.changed, what, shown(change.a), shown(change.b), share, `${shown(change.interval_low, 3)} to ${shown(change.interval_high, 3)}`);
   });
   return table(title, ["quantity / unit", "a", "b", "b over a − 1", "difference, 95 %", ""], rows);
 }
 
 function ordersTable(orders) {
-  const rows = orders.map(({ order, share, gain_share, p_value, changed }) => row(changed, `order ${order}`, `${number(100 * share, 3)} %`, `${number(100 * gain_share, 3)} %`, number(p_value, 3)));
+  const rows = orders.map(({ order, share, gain_share, p_value, changed }) => row(changed, `order ${order}`, `${number(100 * share, 3)} %`, changed ? `${number(100 * gain_share, 3)} %` : NOTHING, p_value < LEAST_P ? `< ${number(LEAST_P, 1)}` : number(p_value, 3)));
   return table("Kernels", ["", "change over the linear response", "of it a gain", "p", ""], rows);
 }
 

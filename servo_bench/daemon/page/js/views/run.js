@@ -31,7 +31,7 @@ class RunPage {
     this.working = h("p", { class: "working", role: "status" });
     this.buttons = { analyse: button("Analyse", () => this.#work("analyse")), diagnose: button("Diagnose", () => this.#work("diagnose")) };
     this.body = h("div", {}, h("p", { class: "hint" }, "Loading …"));
-    this.plots = h("section", { class: "card", "aria-label": "Samples" }, h("h2", {}, "Samples"));
+    this.plots = h("section", { class: "card", "aria-label": "Samples" }, h("h2", {}, "Samples"), h("p", { class: "hint" }, "Over time / s; where many samples share a place, the least and the largest of them."));
     this.element = h("article", {}, this.wrong, this.body);
     this.#load();
     this.#loadSamples();
@@ -166,7 +166,7 @@ class RunPage {
       try {
         const { t_s, columns } = await get(`${runPath(this.id)}/samples?${new URLSearchParams({ channels: channel, points: POINTS })}`);
         if (this.closed) return;
-        const drawn = bandChart(`${title}, over time / s: least and largest of ${number(t_s.length, 9)} blocks`, t_s, columns[channel], scale);
+        const drawn = bandChart(title, t_s, columns[channel], scale);
         this.charts.push(drawn);
         this.plots.append(drawn.figure);
       } catch (error) {

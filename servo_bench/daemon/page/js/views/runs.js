@@ -80,6 +80,7 @@ class RunList {
       fill(this.rows, runs.map((run) => this.#row(run)));
       this.newer.disabled = this.offset === 0;
       this.older.disabled = this.offset + runs.length >= total;
+      for (const turn of [this.newer, this.older]) turn.hidden = this.newer.disabled && this.older.disabled;
     } catch (error) {
       say(this.wrong, error.message);
     }

@@ -83,6 +83,7 @@ def test_an_encoder_with_the_wrong_sign_trips_early_and_the_change_is_said(
     assert "motor" not in found
 
 
+@pytest.mark.long
 @pytest.mark.wire
 def test_an_encoder_with_wrong_counts_is_given_the_right_ones(rig: RigConfig) -> None:
     second = {"second_encoder": {"counts_per_revolution": 50000}}

@@ -129,6 +129,7 @@ def test_a_posterior_element_is_what_was_measured_where_noise_is_small() -> None
     assert fitted.parameters["noise"].value == pytest.approx(1e-3, rel=0.1)
 
 
+@pytest.mark.long
 def test_regularised_beats_the_papers_method_on_fresh_input(paper_training: Training) -> None:
     """Above 98.57, the ceiling of any kernels of order 3, at 20 dB."""
     plain = estimator("correlation").fit(paper_training)
@@ -190,6 +191,7 @@ def test_a_gap_is_measured_through_a_coarse_encoder() -> None:
     assert 2 * fitted.parameters["half_gap"].value == pytest.approx(1.5, abs=0.01)
 
 
+@pytest.mark.long
 def test_the_hybrid_mends_a_plant_outside_the_grey_box() -> None:
     plant = PLANTS["two_mass"]
     played = RNG(6).uniform(-2.0, 2.0, 1400)

@@ -33,7 +33,13 @@ SCENARIOS = [
 ]
 
 
-@pytest.mark.parametrize(("fault", "right", "names"), SCENARIOS, ids=[it[0] for it in SCENARIOS])
+@pytest.mark.parametrize(
+    ("fault", "right", "names"),
+    [
+        pytest.param(*it, id=it[0], marks=[pytest.mark.long] if k % 3 else [])
+        for k, it in enumerate(SCENARIOS)
+    ],
+)
 def test_the_run_ends_or_goes_on_with_the_right_cause_and_the_drive_is_off(
     fault: str,
     right: tuple[str, ...],

@@ -38,6 +38,7 @@ def within(found: Fit, true: dict[str, float], most: float = 3.0) -> None:
     assert np.abs(deviations(found, true)).max() < most, (found.estimates, true)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("channels", [("load_angle_rad",)])
 def test_standard_errors_cover_the_truth_as_they_say(channels: tuple[str, ...]) -> None:
     """Two standard errors of 96 in all should hold 95 %; 88 % is three binomial deviations off."""

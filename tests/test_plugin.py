@@ -114,6 +114,7 @@ def test_that_asks_for_nothing():
 """
 
 
+@pytest.mark.long
 def test_every_failure_that_used_the_bench_leaves_one_page(
     stranger: Stranger, pytester: pytest.Pytester
 ) -> None:

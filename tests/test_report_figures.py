@@ -74,11 +74,11 @@ def _with_nothing_that_can_be_left_out() -> Recording:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (_without_standstill, "noise ceiling not known"),
+        pytest.param(*(_without_standstill, "noise ceiling not known"), marks=pytest.mark.long),
         (_without_device_time, "nominal clock"),
-        (_all_on_time, "0 µs"),
+        pytest.param(*(_all_on_time, "0 µs"), marks=pytest.mark.long),
         (_one_row_missing, "1 of 4963 slots were missed"),
-        (_answers_missing, "answers missing: 5"),
+        pytest.param(*(_answers_missing, "answers missing: 5"), marks=pytest.mark.long),
         (_with_nothing_that_can_be_left_out, "lateness_s was not recorded"),
     ],
 )

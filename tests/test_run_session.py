@@ -103,7 +103,10 @@ def test_a_run_records_what_it_played_and_leaves_the_rig_standing(
     assert recording.experiment == plan
     assert recording.rig == rig
     # the motor goes where the commands lead it, but for what the loop lags and overshoots
-    led_rad = np.concatenate(([0.0], np.cumsum(schedule.velocity_rad_s)))[slots] * 0.008
+    lasted_s = np.diff(recording["asked_ns"]) * 1e-9
+    led_rad = np.concatenate(
+        ([0.0], np.cumsum(recording["velocity_command_rad_s"][:-1] * lasted_s))
+    )
     followed_rad = recording["motor_position_rad"] - recording["motor_position_rad"][0]
     assert np.ptp(led_rad) > 0.1
     assert np.abs(followed_rad - led_rad).max() < 2.0 * 2.0 / 62.5  # 2 V / wn

@@ -450,6 +450,7 @@ def inside(x):
 """
 
 
+@pytest.mark.long
 def test_the_disk_cache_never_answers_for_an_edited_law(tmp_path: Path) -> None:
     (tmp_path / "outer.py").write_text(EDITED)
     paths = [str(tmp_path), str(Path(truth.__file__).parents[2])]

@@ -39,7 +39,7 @@ TCP_NS = 60_000
 """A request's way over the network, and the answer's way back."""
 _LINES: dict[str, "VirtualLine"] = {}
 _DESCRIPTORS: dict[int, "VirtualLine"] = {}
-_real_serial, _real_connect = serial.Serial, drivers.modbus.tcp._connect
+_real_connect = drivers.modbus.tcp._connect
 
 
 class Port:
@@ -266,7 +266,7 @@ class CounterEnd(VirtualLine):
 
 def _serial(device: str, *arguments: Any, **named: Any) -> Any:
     virtual = isinstance(device, str) and device.startswith(PREFIX)
-    return (Port if virtual else _real_serial)(device, *arguments, **named)
+    return (Port if virtual else serial.Serial)(device, *arguments, **named)
 
 
 def _connect(line: TcpLine, name: str) -> Any:

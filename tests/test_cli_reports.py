@@ -38,7 +38,8 @@ def test_analyse_writes_what_was_asked_for_and_prints_the_main_figures(
     recording: Path, tmp_path: Path
 ) -> None:
     report, figures = tmp_path / "out.html", tmp_path / "out.json"
-    code, output, _ = _call("analyse", recording, "--report", report, "--json", figures)
+    paper = ("--estimator", "correlation")  # what the others give: tests/test_estimators_study.py
+    code, output, _ = _call("analyse", recording, *paper, "--report", report, "--json", figures)
     assert code == 0
     numbers = json.loads(figures.read_text())
     assert Page(report.read_text(encoding="utf-8")).figures() == flat(numbers)

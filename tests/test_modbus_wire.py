@@ -170,9 +170,13 @@ def test_a_run_records_what_it_played(rig: RigConfig, tmp_path: Path) -> None:
     motor_rad = recording["motor_position_rad"]
     known = np.isfinite(motor_rad)
     assert known.mean() > 0.5
-    led_rad = np.concatenate(([0.0], np.cumsum(schedule.velocity_rad_s)))[slots] * PERIOD_S
+    # a command acts until the next one comes, and on a busy machine that may be late
+    lasted_s = np.diff(recording["asked_ns"]) * 1e-9
+    command_rad_s = recording["velocity_command_rad_s"]
+    led_rad = np.concatenate(([0.0], np.cumsum(command_rad_s[:-1] * lasted_s)))
     followed_rad = motor_rad - motor_rad[known][0]
-    assert np.abs((followed_rad - led_rad)[known]).max() < 0.25
+    late_rad = 2.0 * np.abs(command_rad_s).max() * (lasted_s.max() - plan.period_s)
+    assert np.abs((followed_rad - led_rad)[known]).max() < 0.25 + late_rad
     still = recording["load_angle_rad"][recording["phase"] == Phase.STANDSTILL]
     assert np.ptp(still[np.isfinite(still)]) == 0.0
     assert_standing(rig)

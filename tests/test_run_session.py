@@ -109,7 +109,9 @@ def test_a_run_records_what_it_played_and_leaves_the_rig_standing(
     )
     followed_rad = recording["motor_position_rad"] - recording["motor_position_rad"][0]
     assert np.ptp(led_rad) > 0.1
-    assert np.abs(followed_rad - led_rad).max() < 2.0 * 2.0 / 62.5  # 2 V / wn
+    # 2 V / wn, and what a command that the rig took late adds
+    late_s = lasted_s.max() - plan.period_s
+    assert np.abs(followed_rad - led_rad).max() < 2.0 * 2.0 / 62.5 + 2 * 2.0 * late_s
     # two frames on one bus do not come at the same instant
     assert (recording["encoder_latency_s"] != recording["drive_latency_s"]).all()
     still = recording["load_angle_rad"][recording["phase"] == Phase.STANDSTILL]
@@ -208,10 +210,10 @@ def signal_bus_process(number: signal.Signals) -> None:
 def test_kill_9_of_the_bus_process_is_named_and_its_supervisor_stops_the_drive(
     rig: RigConfig, tmp_path: Path
 ) -> None:
-    kill = stop_after(80, lambda: signal_bus_process(signal.SIGKILL))
+    kill = stop_after(200, lambda: signal_bus_process(signal.SIGKILL))
     with pytest.raises(WireError, match=r"killed by SIGKILL.*supervisor: stopped and disabled"):
         run(experiment(30.0), rig, tmp_path / "run.mcap", progress=kill)
-    assert len(load(tmp_path / "run.mcap")) >= 80
+    assert load(tmp_path / "run.mcap")["slot"].max() >= 200 - 125  # a second at most is lost
     assert_standing(rig)
 
 

@@ -63,16 +63,18 @@ def transact(
     clock: Clock,
     what: str,
 ) -> ModbusPDU:
-    """One transaction of the set-up, waited for; a lost one is repeated.
+    """One transaction of the set-up, waited for; a lost one is repeated, with twice the patience.
 
+    A drive that writes its parameters to flash, or that a busy computer plays, answers late.
     Raises WireError where no answer comes, DriveError where the drive refuses.
     """
-    for _ in range(_ATTEMPTS):
+    for attempt in range(_ATTEMPTS):
         sent_ns = link.begin(request)
-        reply = link.poll(sent_ns + round(timeout_s * 1e9))
+        until_ns = sent_ns + round(timeout_s * 2**attempt * 1e9)
+        reply = link.poll(until_ns)
         if reply is None:
             link.abandon()
-            clock.sleep_until(sent_ns + round(timeout_s * 1e9))
+            clock.sleep_until(until_ns)
         elif isinstance(reply.pdu, ExceptionResponse):
             raise DriveError(
                 f"{link.name} refuses to {what}: {describe_exception(reply.pdu)}. Check the "
@@ -82,9 +84,9 @@ def transact(
             return reply.pdu
     damaged = f"; {link.damaged} damaged frames were seen" if link.damaged else ""
     raise WireError(
-        f"{link.name} does not answer: asked {_ATTEMPTS} times to {what}, each waited for "
-        f"{timeout_s:.3g} s{damaged}. Check the drive's supply, its unit id, the cable, and on a "
-        "serial line speed, parity, and stop bits."
+        f"{link.name} does not answer: asked {_ATTEMPTS} times to {what}, waited for "
+        f"{timeout_s:.3g} s and then twice as long each time{damaged}. Check the drive's supply, "
+        "its unit id, the cable, and on a serial line speed, parity, and stop bits."
     )
 
 

@@ -22,6 +22,7 @@ from servo_bench.diagnosis.foreign_channels import (
 )
 from servo_bench.diagnosis.twist import compare_locked
 from servo_bench.errors import ConfigError, FitError
+from servo_bench.recording.plant import ForeignPlant
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 from sim_rig.settings import Nominal
@@ -49,7 +50,7 @@ def starting_model(recording: Recording) -> Model:
         return _locked(recording)
     effort = effort_of(recording)
     told = plant.torque_constant_nm_per_a or 1.0
-    inertia, torque_constant, drag = _inertia(recording, effort, told)
+    inertia, torque_constant, drag = _inertia(recording, plant, effort, told)
     loop, gain = plant.position_loop, 1.0
     ohm = resistance_ohm(recording)
     if loop is not None:
@@ -85,10 +86,11 @@ def _locked(recording: Recording) -> Model:
     return model.with_effect("coulomb", torque_nm=0.1 * peak)
 
 
-def _inertia(recording: Recording, effort: str, told: float) -> tuple[float, float, float]:
+def _inertia(
+    recording: Recording, plant: ForeignPlant, effort: str, told: float
+) -> tuple[float, float, float]:
     """(J, K_T, viscous damping) as far as the plant does not say them."""
-    plant, per_unit = recording.plant, 1.0
-    assert plant is not None  # noqa: S101 - the caller asked
+    per_unit = 1.0
     ohm = resistance_ohm(recording)
     if effort in ("motor_torque_nm", "torque_nm"):
         per_unit = 1.0 / told  # a torque is played as a current

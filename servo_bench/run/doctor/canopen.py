@@ -13,7 +13,7 @@ from drivers.canopen.listening import refuse_another_master
 from drivers.canopen.node import Node
 from drivers.canopen.scaling import check_ratio
 from drivers.canopen.scan import Found, find_nodes
-from drivers.canopen.settings import CanopenSettings
+from drivers.canopen.settings import CanopenSettings, EncoderSettings
 from drivers.canopen.setup import identify, open_drive, open_encoder
 from drivers.canopen.units import check_ratios, rated_torque_nm
 from drivers.errors import DriverError
@@ -48,7 +48,7 @@ def examine(settings: CanopenSettings) -> list[Finding]:
         encoder = settings.encoder
         if encoder and _is_there(nodes, encoder.node.node_id, "encoder", findings):
             node = open_encoder(line, encoder, settings.drive.sdo_timeout_s)
-            findings += _encoder(node, settings)
+            findings += _encoder(node, encoder)
         return findings
 
 
@@ -219,9 +219,7 @@ def _watchdog(node: Node, settings: CanopenSettings) -> Finding:
     return stop("own stop", f"{text}: acknowledge with drive.without_watchdog = true.")
 
 
-def _encoder(node: Node, settings: CanopenSettings) -> list[Finding]:
-    encoder = settings.encoder
-    assert encoder is not None  # noqa: S101 - the caller has seen it
+def _encoder(node: Node, encoder: EncoderSettings) -> list[Finding]:
     findings = [
         _checked(
             "encoder's identity",

@@ -24,7 +24,7 @@ from servo_bench.errors import BenchError
 from servo_bench.excitation.experiment import Experiment, MSequence, Phase, RandomBinary
 from servo_bench.recording.mcap_file import load
 from servo_bench.recording.recording import Recording
-from servo_bench.rig import RigConfig
+from servo_bench.rig import AnyEncoderConfig, RigConfig, SecondEncoderConfig
 from servo_bench.run.axes import axis_settings
 from servo_bench.run.doctor import canopen
 from servo_bench.run.finding import Finding, change, note, ok, stop
@@ -118,10 +118,10 @@ def judge(recording: Recording | None, rig: RigConfig, ended: BenchError | None)
     if motor_rad.size < 2 or not np.nanmax(np.abs(commanded_rad)) > _LEAST_RAD:
         return findings or [stop("move", "it ended before the shaft could turn by 2 deg.")]
     findings.append(_motor(_slope(commanded_rad, motor_rad), rig))
-    if rig.encoder or rig.drive.second_encoder:
-        load_rad = recording["load_angle_rad"][there]
-        if np.ptp(motor_rad) > _LEAST_RAD:
-            findings.append(_load(_slope(motor_rad, load_rad), rig))
+    load = rig.encoder or rig.drive.second_encoder
+    if load and np.ptp(motor_rad) > _LEAST_RAD:
+        where = "encoder" if rig.encoder else "drive.second_encoder"
+        findings.append(_load(_slope(motor_rad, recording["load_angle_rad"][there]), where, load))
     return findings
 
 
@@ -152,10 +152,7 @@ def _motor(slope: float, rig: RigConfig) -> Finding:
     )
 
 
-def _load(slope: float, rig: RigConfig) -> Finding:
-    where = "encoder" if rig.encoder else "drive.second_encoder"
-    load = rig.encoder or rig.drive.second_encoder
-    assert load is not None  # noqa: S101 - the caller has seen it
+def _load(slope: float, where: str, load: AnyEncoderConfig | SecondEncoderConfig) -> Finding:
     text = f"the load's encoder counts {slope:+.3f} of the motor's"
     if abs(slope - 1.0) < _CLOSE:
         good = f"{text}: direction and {load.counts_per_revolution} counts a revolution agree."

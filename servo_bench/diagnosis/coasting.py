@@ -15,8 +15,8 @@ from servo_bench.diagnosis.unknowns import Unknown
 from sim_rig.errors import EffectError
 from sim_rig.model import Model
 
-WRONG = 1.0
-"""Misfit of the twist from which on coasting is asked."""
+WRONG, RIGHT = 0.7, 1.0
+"""Misfit of the twist from which on coasting is asked, and of the rest up to which."""
 LIGHT = 0.003
 """Of the inertia: a load of which the motor feels next to nothing."""
 SLOWED_RAD_S2 = (100.0, 170.0, 280.0, 460.0, 760.0, 1250.0, 2100.0, 3500.0)
@@ -88,4 +88,4 @@ def _twist_is_wrong(whole: Evidence, final: Found) -> bool:
     twist = np.array([name.startswith("twist") for name in whole.names])
     if not twist.any():
         return False
-    return bool(missed[twist].max() > WRONG and missed[~twist].max(initial=0.0) < WRONG)
+    return bool(missed[twist].max() > WRONG and missed[~twist].max(initial=0.0) < RIGHT)

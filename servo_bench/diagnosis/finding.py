@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servo_bench.diagnosis.coasting import with_coasting
+from servo_bench.diagnosis.coasting import is_coasting, with_coasting
 from servo_bench.diagnosis.comparison import Choice, compare
 from servo_bench.diagnosis.evidence import Evidence, evidence_of, quick_evidence
 from servo_bench.diagnosis.gate import material_sizes, misfit, passes
@@ -142,12 +142,15 @@ def find_causes(
         recordings, held_out, lost = *told_recordings, LostCommands((), lost.changes)
         whole = evidence_of(recordings, model, block=block)
     final, named = fit_jointly(whole, now, named, band, report)
+    if not named and not absorbed:  # a line of its error may repeat with the shaft by chance
+        final = with_coasting(whole, final)
     slow = [h for h in candidates if h.effect in SLOW - {n.effect for n in named}]
     late = play_slow_round(whole, final, slow, scales, report) if len(named) < MOST_CAUSES else None
     if late is not None:
         rounds.append(late.round)
         final, named = fit_jointly(whole, late.contender.found, [*named, late], band, report)
-    named += needed_vehicle(whole, final, named, band, report)
+    if not is_coasting(final.model):  # its contact is no vehicle that a cause was tried on
+        named += needed_vehicle(whole, final, named, band, report)
     absorbed += [n.effect for n in named if not is_worth_it(n, final, scales)]
     named = [n for one in named for n in worth_a_name(one, final, scales)]
     plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)

@@ -23,6 +23,7 @@ from servo_bench.diagnosis.unknowns import Unknown
 from servo_bench.errors import FitError
 from sim_rig.effects import find_effect
 from sim_rig.errors import SimRigError
+from sim_rig.model import Model
 
 FITTED = 4
 """Hypotheses that are fitted in a round, at most."""
@@ -127,7 +128,9 @@ def play_round(
     plain = _plain([one for one, _ in near])
     near += [pair for pair in ranked[3:] if pair[0].hypothesis.effect in plain]
     again = [(one, _again(quick, one, f, sigma)) for one, f in near]
-    rested = seek(quick, base.model, base.unknowns, sigma, iterations=2, first=2)
+    rested = _rested(
+        quick, base, sigma, [f.model.without(one.hypothesis.effect) for one, f in again]
+    )
     held = quick.held_out([rested.model, *(f.model for _, f in again)])
     base_costs = _all_costs(rested.errors, held[0], sigma)
     contenders = [
@@ -196,6 +199,20 @@ def _again(quick: Evidence, one: Screened, found: Found, sigma: Array) -> Found:
     """The same search, weighed by what the best one leaves."""
     again = seek(quick, found.model, found.unknowns, sigma, iterations=3, first=1)
     return settle(quick, again, _own(one), turns=1)
+
+
+def _rested(quick: Evidence, base: Found, sigma: Array, beside: Sequence[Model]) -> Found:
+    """The base with as much search as its contenders have had, from its own numbers and theirs.
+
+    Else a contender wins by what the base's own open numbers had left to gain.
+    """
+    cold = seek(quick, base.model, base.unknowns, sigma, iterations=3, first=1)
+    costs = [errors.cost(sigma) for errors in quick.seen(beside)]
+    warm = beside[int(np.argmin(costs))]
+    found = [
+        seek(quick, m, base.unknowns, sigma, iterations=2, first=2) for m in (cold.model, warm)
+    ]
+    return min(found, key=lambda f: f.cost)
 
 
 def _own(one: Screened) -> set[str]:

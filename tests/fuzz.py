@@ -14,6 +14,7 @@ import platform
 import sys
 import time
 import traceback
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -66,7 +67,9 @@ def play_lot(target: Target, count: int, number: int, tally: Tally) -> None:
     tally.seconds += time.process_time() - began_s
 
 
-def campaign(count: int, number: int, within_s: float, only: str = "") -> dict[str, Tally]:
+def campaign(
+    count: int, number: int, within_s: float, only: str = ""
+) -> Iterator[dict[str, Tally]]:
     """The targets in turn, a lot of each, so that what fits into the time is spread over all."""
     end_s = time.monotonic() + within_s
     tallies = {name: Tally() for name in TARGETS if only in name}
@@ -77,7 +80,27 @@ def campaign(count: int, number: int, within_s: float, only: str = "") -> dict[s
             wanted = goals[name] * (lot + 1) // lots - tally.cases
             if wanted > 0 and not tally.fault and time.monotonic() < end_s:
                 play_lot(TARGETS[name], wanted, (number * 1000 + lot) * 100 + place, tally)
-    return tallies
+        yield tallies
+
+
+def figures_of(
+    tallies: dict[str, Tally], options: argparse.Namespace, wall_s: float
+) -> dict[str, Any]:
+    """What has come of it so far."""
+    return {
+        "cases": sum(tally.cases for tally in tallies.values()),
+        "asked": options.count,
+        "faults": sum(bool(tally.fault) for tally in tallies.values()),
+        "seed": options.seed,
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": f"{os.cpu_count()} CPUs, shared, {platform.system()}, {platform.machine()}",
+        "wall_s": round(wall_s, 1),
+        "cpu_s": round(sum(tally.seconds for tally in tallies.values()), 1),
+        "targets": {
+            name: {"cases": it.cases, "refused": it.refused, "cpu_s": round(it.seconds, 1)}
+            for name, it in tallies.items()
+        },
+    }
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -90,26 +113,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--within", type=float, default=math.inf, help="seconds; as many as fit")
     options = parser.parse_args(arguments)
     began_s = time.monotonic()
-    tallies = campaign(options.count, options.seed, options.within, options.only)
+    for tallies in campaign(options.count, options.seed, options.within, options.only):
+        figures = figures_of(tallies, options, time.monotonic() - began_s)
+        if options.json:  # after every lot: hours of it may be stopped at any time
+            options.json.write_text(json.dumps(figures, indent=1) + "\n")
     faults = [f"{name}:\n{tally.fault}" for name, tally in tallies.items() if tally.fault]
-    figures = {
-        "cases": sum(tally.cases for tally in tallies.values()),
-        "asked": options.count,
-        "faults": len(faults),
-        "seed": options.seed,
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": f"{os.cpu_count()} CPUs, shared, {platform.system()}, {platform.machine()}",
-        "wall_s": round(time.monotonic() - began_s, 1),
-        "cpu_s": round(sum(tally.seconds for tally in tallies.values()), 1),
-        "targets": {
-            name: {"cases": it.cases, "refused": it.refused, "cpu_s": round(it.seconds, 1)}
-            for name, it in tallies.items()
-        },
-    }
-    text = json.dumps(figures, indent=1)
-    if options.json:
-        options.json.write_text(text + "\n")
-    sys.stdout.write("\n\n".join([text, *faults]) + "\n")
+    sys.stdout.write("\n\n".join([json.dumps(figures, indent=1), *faults]) + "\n")
     return 1 if faults else 0
 
 

@@ -4,18 +4,21 @@ import numpy as np
 import pytest
 
 from servo_bench.diagnosis.evidence import ASKED, Evidence, evidence_of
-from servo_bench.diagnosis.finding import find_causes
-from servo_bench.diagnosis.gate import material_sizes
-from servo_bench.diagnosis.hypotheses import Scales, Trial
+from servo_bench.diagnosis.finding import find_causes, nothing_told
+from servo_bench.diagnosis.gate import material_sizes, passes, passes_slowly
+from servo_bench.diagnosis.hypotheses import Scales, Trial, hypotheses
 from servo_bench.diagnosis.judgement import quantities, standard_errors, verdict_of
+from servo_bench.diagnosis.rounds import play_round
 from servo_bench.diagnosis.seeking import Found, roam, seek, settle
-from servo_bench.diagnosis.unknowns import Unknown
+from servo_bench.diagnosis.unknowns import Unknown, nuisances
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, recorded
 
 MODEL = Model(NOMINAL)
 COGGING_NM, ORDER = 0.03, 12.0
 SLOTS = 900
+SCALES = Scales(0.05, 3.0, 0.7, (1.5, 1.2, 1.0), (1.0, 0.8, 0.5), 6.0, 5.0, 0.02, 2e-4)
+DAMPED = {"damping_nm_s_per_rad": 1e-4}
 
 
 def evidence(seed: int, model: Model) -> Evidence:
@@ -106,11 +109,10 @@ def test_an_interval_is_wider_than_the_sandwich_and_than_what_every_rig_has(
 ) -> None:
     seen, found = lost
     settled = settle(seen, found, {"cogging"})
-    scales = Scales(0.05, 3.0, 0.7, (1.5, 1.2, 1.0), (1.0, 0.8, 0.5), 6.0, 5.0, 0.02, 2e-4)
-    quantity = quantities(settled, scales)["cogging.torque_nm"]
+    quantity = quantities(settled, SCALES)["cogging.torque_nm"]
     reached = standard_errors(settled)[0]
     assert quantity.standard_error > 2.0 * reached
-    assert quantity.standard_error > 0.25 * material_sizes(scales)["cogging"]
+    assert quantity.standard_error > 0.25 * material_sizes(SCALES)["cogging"]
     assert quantity.ci95[0] < COGGING_NM < quantity.ci95[1]
 
 
@@ -136,3 +138,17 @@ def test_what_is_held_out_has_no_part_in_the_verdict() -> None:
 
 def without(numbers: dict[str, object], names: set[str]) -> dict[str, object]:
     return {**numbers, **dict.fromkeys(names)}
+
+
+def test_what_the_base_had_left_to_gain_is_no_contenders_merit() -> None:
+    """The base's open numbers are far from what is hidden; nothing repeats with the shaft."""
+    hidden = MODEL.with_effect("coulomb", torque_nm=3e-3).with_effect("viscous", **DAMPED)
+    seen = evidence_of([recorded(hidden, 27, slots=500)], MODEL)
+    base = seek(seen, MODEL, nuisances(0.05, 3.0, NOMINAL.backlash_gap_rad), iterations=0)
+    tried = hypotheses(SCALES, only=("encoder_eccentricity", "misalignment"))
+    played = play_round(seen, base, tried, {}, nothing_told, least=-1.0)
+    assert not [c.effect for c in played.contenders if passes(c) or passes_slowly(c)]
+    for one in played.contenders:
+        without = one.found.model.without(one.effect)
+        less = seek(seen, without, base.unknowns, played.sigma, iterations=2, first=2)
+        assert played.base.cost < 1.001 * less.cost

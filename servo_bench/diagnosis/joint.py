@@ -13,17 +13,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from servo_bench.diagnosis.evidence import Evidence, block_z
-from servo_bench.diagnosis.gate import is_material, material_sizes, passes
+from servo_bench.diagnosis.gate import is_material, material_sizes, passes_slowly
 from servo_bench.diagnosis.hypotheses import Hypothesis, Scales
 from servo_bench.diagnosis.rounds import Contender, Round, Told, merged, play_round
 from servo_bench.diagnosis.seeking import Found, seek, settle
 from servo_bench.diagnosis.unknowns import Unknown
 
 NEEDED_Z, NEEDED_SHARE = 4.0, 0.01
+SLOW_GAIN = 3e-4
+"""Screened gain below which nothing slow is fitted: a record shows but a part of what it does."""
 SLOW = frozenset(
     {
         *("thermal_friction", "thermal_torque_constant", "clock_skew"),
-        *("encoder_eccentricity", "misalignment"),
+        *("encoder_eccentricity", "misalignment", "position_backlash"),
     }
 )
 """What a recording's beginning hardly shows, because it warms slowly or turns but a few times:
@@ -75,10 +77,12 @@ def play_slow_round(
         return None
     base = seek(whole, final.model, final.unknowns, final.sigma, iterations=1, first=3)
     sizes = material_sizes(scales)
-    played = play_round(whole, base, slow, sizes, lambda what: report(f"slow effects: {what}"))
+    played = play_round(
+        whole, base, slow, sizes, lambda what: report(f"slow effects: {what}"), least=SLOW_GAIN
+    )
     for found in played.contenders:
         named = Named(found.effect, played, found, own_unknowns(found, found.effect))
-        if passes(found) and is_worth_it(named, found.found, scales):
+        if passes_slowly(found) and is_worth_it(named, found.found, scales):
             return named
     return None
 

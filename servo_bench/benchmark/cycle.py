@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_bench.benchmark.listener import spread_us
+from servo_bench.benchmark.memory import MemoryWatch
 from servo_bench.benchmark.reference import running_reference
 from servo_bench.clock import NS_PER_S, monotonic_ns
 from servo_bench.excitation.experiment import Experiment, MSequence, RandomBinary
@@ -60,6 +61,12 @@ def measure(
     period_ns = round(period_s / rig.samples_per_command * NS_PER_S)
     cycles = experiment.schedule().slots * rig.samples_per_command
     cycles += round(SETUP_S * NS_PER_S / period_ns)
+    memory = MemoryWatch()
+
+    def told(status: Status) -> None:
+        memory.look()
+        progress(status)
+
     with tempfile.TemporaryDirectory() as folder, spawn(rig.simulation_settings()) as simulated:
         out = Path(folder) / "cycle.mcap"
         on_can = rig.drive.protocol == "canopen"  # elsewhere there is nobody to listen in
@@ -81,7 +88,7 @@ def measure(
                 out,
                 priority=priority,
                 cpu=chosen,
-                progress=progress,
+                progress=told,
             )
             due_ns, late_ns = reference.rows()
         seen = json.loads(listener.communicate()[0]) if listener else None
@@ -108,6 +115,7 @@ def measure(
         "unexplained_gaps": _unexplained(recording, stolen, period_ns),
         "round_trip": _round_trip(recording, stolen, period_ns),
         "unanswered_slots": int(np.count_nonzero(~np.isfinite(recording["drive_latency_s"]))),
+        "memory": memory.figures(),
         "bus": _seen_on_the_bus(seen),
         **_echo_figures(echoed_s),
     }

@@ -35,7 +35,7 @@ from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import DriveError, DriverError, SyncMissingError, WireError
 
 _FAULT_RESET_S = 0.5
-_PROBES = 3
+_PROBES, _MOST_PROBES = 3, 12
 _SETTLE_NS = 200_000_000
 STANDSTILL_RAD_S = 0.5
 """A shaft slower than this, between two samples, is believed to stand: a coarse encoder's one
@@ -167,18 +167,24 @@ class CanopenAxis:
     def _check_latency(self, cycle: Cycle) -> None:
         """Refuse a node that needs longer than a period: its answers would pile up, and which SYNC
         one of them belongs to could only be guessed."""
-        probes: list[dict[str, float]] = []
-        for _ in range(_PROBES):
-            self._own_slot += 1
-            probes.append(cycle.latencies_s(self._own_slot))
-        for name in probes[0]:
-            late_s = min(probe.get(name, 0.0) for probe in probes)  # 0: not there, judged later
+        best_s = self._probe(cycle)  # who is not there, or not each time, is judged later
+        for probe in range(1, _MOST_PROBES):  # who is punctual once is not slow: the computer is
+            if probe >= _PROBES and max(best_s.values(), default=0.0) <= self._settings.period_s:
+                return
+            again_s = self._probe(cycle)
+            best_s = {name: min(late_s, again_s.get(name, 0.0)) for name, late_s in best_s.items()}
+        for name, late_s in best_s.items():
             if late_s > self._settings.period_s:
                 raise WireError(
-                    f"{name} answers SYNC after {late_s * 1e3:.2f} ms at the best of {_PROBES}, "
-                    f"and the period is {self._settings.period_s * 1e3:g} ms. Choose a longer "
-                    "period, raise the bit rate, or take what delays the answers off the bus."
+                    f"{name} answers SYNC after {late_s * 1e3:.2f} ms at the best of "
+                    f"{_MOST_PROBES}, and the period is {self._settings.period_s * 1e3:g} ms. "
+                    "Choose a longer period, raise the bit rate, or take what delays the answers "
+                    "off the bus."
                 )
+
+    def _probe(self, cycle: Cycle) -> dict[str, float]:
+        self._own_slot += 1
+        return cycle.latencies_s(self._own_slot)
 
     def _tick(self, cycle: Cycle, tick_ns: int) -> int:
         """One cycle of this master's own at velocity 0; returns the next cycle's time."""

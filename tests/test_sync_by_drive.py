@@ -306,10 +306,9 @@ def test_on_a_real_bus_the_bench_follows_the_rigs_sync(tmp_path: Path) -> None:
     recording = load(tmp_path / "run.mcap")
     assert summary.played + summary.missed == summary.slots
     assert len(recording) == summary.played > 100
-    device_us = recording["device_time_us"] - recording["device_time_us"][0]
-    slots = recording["slot"] - recording["slot"][0]
-    # the producer's own lateness is all that may be between its SYNCs and a grid
-    assert np.abs(np.rint(device_us / PERIOD_US) - slots).max() <= 2
+    # from slot to slot a period of the producer's clock, but where the machine let it miss some
+    periods = np.rint(np.diff(recording["device_time_us"]) / PERIOD_US)
+    assert np.mean(periods == np.diff(recording["slot"])) > 0.9
     assert len(recording.fast["slot"]) > 0.7 * samples * len(recording)
     own = recording.fast["part"] == 0
     assert np.array_equal(recording.fast["load_angle_counts"][own], recording["load_angle_counts"])

@@ -10,7 +10,7 @@ import pytest
 from drivers.canopen.budget import bus_budget, check_bus_load
 from drivers.errors import SettingsError
 from servo_bench.diagnosis.rows import rows_of
-from servo_bench.errors import BenchError, ConfigError, RecordingError, gathered
+from servo_bench.errors import BenchError, ConfigError, RecordingError, WireError, gathered
 from servo_bench.excitation.experiment import Experiment, MSequence, RandomBinary
 from servo_bench.foreign.exporting import export
 from servo_bench.kernels.quality import run_quality
@@ -242,7 +242,12 @@ def test_the_drive_is_told_both_periods() -> None:
 def test_on_a_real_bus_at_a_millisecond(tmp_path: Path) -> None:
     rig = of(samples_per_command=8).on_a_free_port()
     with spawn(rig.simulation_settings()) as simulated:
-        summary = run(PLAN, rig.with_bus(**simulated.bus), tmp_path / "run.mcap")
+        try:
+            summary = run(PLAN, rig.with_bus(**simulated.bus), tmp_path / "run.mcap")
+        except WireError as error:
+            if "answers SYNC after" in str(error):
+                pytest.skip(f"no computer that plays the software rig at 1 ms: {error}")
+            raise
     recording = load(tmp_path / "run.mcap")
     assert len(recording) == summary.played > 150
     samples = recording.fast

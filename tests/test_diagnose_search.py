@@ -147,6 +147,7 @@ def test_what_the_base_had_left_to_gain_is_no_contenders_merit() -> None:
     base = seek(seen, MODEL, nuisances(0.05, 3.0, NOMINAL.backlash_gap_rad), iterations=0)
     tried = hypotheses(SCALES, only=("encoder_eccentricity", "misalignment"))
     played = play_round(seen, base, tried, {}, nothing_told, least=-1.0)
+    assert played.contenders
     assert not [c.effect for c in played.contenders if passes(c) or passes_slowly(c)]
     for one in played.contenders:
         without = one.found.model.without(one.effect)

@@ -183,16 +183,16 @@ def test_a_run_records_what_it_played(rig: RigConfig, tmp_path: Path) -> None:
 
 
 def test_a_run_over_modbus_gives_kernels(tcp_rig: RigConfig, tmp_path: Path) -> None:
-    """A machine that was taken away for more than 1 % of the slots may try again."""
+    """A machine taken away for 1 % of the slots, or a quarter of a second, may try again."""
     whole = MSequence(polynomial="435", amplitude_rad_s=2.0, length=255 + 16)
     plan = experiment().model_copy(update={"identification": whole, "memory": 4})
     refused = []
     for attempt in range(4):
         out = tmp_path / f"{attempt}.mcap"
-        run(plan, tcp_rig, out)
         try:
+            run(plan, tcp_rig, out)
             numbers = analyse(load(out)).numbers()
-        except RecordingError as error:
+        except (RecordingError, WireError) as error:
             refused.append(str(error))
         else:
             assert numbers

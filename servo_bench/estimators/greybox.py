@@ -21,7 +21,7 @@ from typing import Protocol
 import numba
 import numpy as np
 from scipy.linalg import expm
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
 from servo_bench.errors import FitError
 from servo_bench.estimators.data import Array, Parameter, Training, played_from_rest
@@ -29,6 +29,8 @@ from servo_bench.estimators.data import Array, Parameter, Training, played_from_
 SUBSTEPS = 20
 DIFFERENCE_STEPS = (1e-2, 1e-4)
 """Of the finite differences, coarse first: a rigid play makes the error ripple."""
+SCOUTED = 8
+"""Steps from every start, before the best two go on to their end."""
 
 
 class RigModel(Protocol):
@@ -172,20 +174,23 @@ class GreyBox:
             left: Array = self.model.play(numbers, whole)[past:] - training.response
             return np.asarray(left - left.mean())
 
-        best = None
-        for start in self.model.starts:
-            numbers = np.clip(start, low, high)
-            for step in DIFFERENCE_STEPS:
-                found = least_squares(
-                    error,
-                    numbers,
-                    bounds=(low, high),
-                    x_scale=self.model.scales,
-                    diff_step=np.full(numbers.size, step),
-                )
-                numbers = found.x
-            if np.isfinite(found.cost) and (best is None or found.cost < best.cost):
-                best = found
+        def searched(numbers: Array, step: float, steps: int | None = None) -> OptimizeResult:
+            return least_squares(
+                error,
+                numbers,
+                bounds=(low, high),
+                x_scale=self.model.scales,
+                diff_step=np.full(numbers.size, step),
+                max_nfev=steps,
+            )
+
+        coarse, fine = DIFFERENCE_STEPS
+        scouts = [
+            searched(np.clip(start, low, high), coarse, SCOUTED) for start in self.model.starts
+        ]
+        scouts = sorted((s for s in scouts if np.isfinite(s.cost)), key=lambda s: float(s.cost))
+        ended = [searched(searched(scout.x, coarse).x, fine) for scout in scouts[:2]]
+        best = min(ended, key=lambda end: float(end.cost), default=None)
         if best is None:
             raise FitError(
                 "the rig model gave no finite output from any of its starts: its numbers do not "

@@ -264,4 +264,6 @@ def test_a_dialogue_of_cia_402_by_can_utils(dump: Dump) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(pytest.main([__file__, "-q", "-o", "addopts=", "--color=no", "-p", "no:cacheprovider"]))
+    sys.exit(
+        pytest.main([__file__, "-q", "-o", "addopts=", "--color=no", "-p", "no:cacheprovider"])
+    )

@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -68,5 +67,7 @@ def test_the_same_rig_on_a_wire_differs_by_its_sensors_noise_alone(
         assert signal["rms_a"] > 4.0 * signal["floor"], "the shaft turned"
         # two runs, two samples in an increment: four times the variance of one sample
         assert signal["floor"] == pytest.approx(2.0 * NOISE_RAD / 0.008, rel=0.3)
-        moving = signal["pieces"][3:]  # a tenth in which the machine lost a slot is one of seven
-        assert np.median(moving) < 1.3 * signal["floor"], signal
+        # Another rig differs in every tenth that moves; a machine that was taken away, in those
+        # where it lost slots, and how many these are is not the replay's to promise.
+        moving = sorted(signal["pieces"][3:])
+        assert moving[1] < 1.3 * signal["floor"], signal

@@ -378,7 +378,11 @@ def test_sixty_frames_a_second_at_a_kilohertz(tmp_path: Path, screen: Screen) ->
     with Daemon(bench) as daemon:
         page = screen.open(daemon)
         idle = page.evaluate(INTERVALS, 120)
-        daemon.play("long")
+        run_id = daemon.submit("long")
+        daemon.arm()
+        status = daemon.wait(lambda now: moves(now, run_id) or now["state"] == "faulted")
+        if "answers SYNC after" in (sentence := (status["fault"] or {}).get("sentence", "")):
+            pytest.skip(f"no computer that plays the software rig at 1 ms: {sentence}")
         expect(page.locator("#state")).to_have_text("Running")
         page.wait_for_function("() => document.querySelector('progress').value > 0.1")
         screen.shoot("live-1khz")

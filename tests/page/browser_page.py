@@ -9,6 +9,7 @@ import signal
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 from playwright.sync_api import Route, expect
@@ -380,9 +381,10 @@ def test_sixty_frames_a_second_at_a_kilohertz(tmp_path: Path, screen: Screen) ->
         idle = page.evaluate(INTERVALS, 120)
         run_id = daemon.submit("long")
         daemon.arm()
-        status = daemon.wait(lambda now: moves(now, run_id) or now["state"] == "faulted")
-        if "answers SYNC after" in (sentence := (status["fault"] or {}).get("sentence", "")):
+        status = daemon.wait(lambda now: far(now, run_id) or now["state"] == "faulted")
+        if overloaded(sentence := (status["fault"] or {}).get("sentence", "")):
             pytest.skip(f"no computer that plays the software rig at 1 ms: {sentence}")
+        assert not sentence
         expect(page.locator("#state")).to_have_text("Running")
         page.wait_for_function("() => document.querySelector('progress').value > 0.1")
         screen.shoot("live-1khz")
@@ -395,6 +397,16 @@ def test_sixty_frames_a_second_at_a_kilohertz(tmp_path: Path, screen: Screen) ->
         f"{words}\nheap {heap / 1e6:.1f} MB\n"
     )
     assert len(times) == 601
+
+
+def far(status: dict[str, Any], run_id: str) -> bool:
+    """Whether a tenth of the run is played."""
+    return moves(status, run_id) and status["run"]["slot"] > 0.1 * status["run"]["slots"]
+
+
+def overloaded(sentence: str) -> bool:
+    """Whether a run ended as it does where the software rig is short of processor time."""
+    return "answers SYNC after" in sentence or "has sent no heartbeat" in sentence
 
 
 def paced(times_ms: list[float]) -> str:

@@ -83,6 +83,7 @@ def extract_levels(
     for array in coefficients:
         array.setflags(write=False)
     gain = float(np.sqrt(np.mean(np.diag(found.unit_covariance)[1 : memory + 1])))
+    scatter = gain * float(np.sqrt(found.noise_variance))
     return Kernels(
         polynomial=polynomial,
         amplitude=amplitude,
@@ -95,7 +96,9 @@ def extract_levels(
         c1=coefficients[1],
         c2=coefficients[2],
         c3=coefficients[3],
-        scatter=gain * float(np.sqrt(found.noise_variance)),
+        scatter=scatter,
+        scatter_rms=scatter,
+        scatter_kurtosis=3.0,
         standard_error=_between(periods) * gain if len(periods) > 1 else None,
         levels=levels,
     )

@@ -149,5 +149,7 @@ def extract_inverse_repeat(
         c2=even.c2 * np.multiply.outer(lag_sign, lag_sign),
         c3=odd.c3 * np.einsum("i,j,k->ijk", lag_sign, lag_sign, lag_sign),
         scatter=max(odd.scatter, even.scatter),
+        scatter_rms=max(odd.scatter_rms, even.scatter_rms),
+        scatter_kurtosis=max(odd.scatter_kurtosis, even.scatter_kurtosis),
         standard_error=max(known) if known else None,
     )

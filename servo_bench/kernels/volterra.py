@@ -55,6 +55,9 @@ class Kernels:
     c3              shape (M, M, M), zero but for i < j < k
     scatter         spread of a coefficient, from the empty shifts (1.4826 median |phi - baseline|):
                     noise and aliases of orders 5 and above together
+    scatter_rms     root of their mean square: larger, for the aliases are few and large
+    scatter_kurtosis  of their distribution, 3 for a normal one: how surely an order's energy can be
+                    held against scatter_rms
     standard_error  of every coefficient, from the spread between periods: noise alone; None
                     where a single period was measured
     levels          how many the chips had: 2, or 3 and 5, whose c2 and c3 have diagonals (`levels`)
@@ -72,6 +75,8 @@ class Kernels:
     c2: Array
     c3: Array
     scatter: float
+    scatter_rms: float
+    scatter_kurtosis: float
     standard_error: float | None
     levels: int = 2
 
@@ -123,7 +128,8 @@ class Kernels:
         """The variance that each order 0 to 3 puts into the response to random binary input.
 
         E_m = sum c_m^2 (order 0 has none); shape (4,), response squared. The elements' scatter is
-        in it: number of elements x scatter^2. Diagonals fold into the order that they have there.
+        in it: number of elements x scatter_rms^2. Diagonals fold into the order that they have
+        there.
         """
         repeated = np.einsum("iik->k", self.c3) + np.einsum("ikk->i", self.c3)
         linear = self.c1 + repeated - np.einsum("iii->i", self.c3)
@@ -184,8 +190,15 @@ def extract(
         c2=coefficients[1],
         c3=coefficients[2],
         scatter=float(1.4826 * np.median(np.abs(c[empty]))),
+        scatter_rms=float(np.sqrt(np.mean(c[empty] ** 2))),
+        scatter_kurtosis=_kurtosis(c[empty]),
         standard_error=None if error is None else error * whole,
     )
+
+
+def _kurtosis(values: Array) -> float:
+    square = float(np.mean(values**2))
+    return float(np.mean(values**4)) / square**2 if square > 0.0 else 3.0
 
 
 def _check_memory(polynomial: str, memory: int, order: int) -> None:

@@ -23,11 +23,13 @@ EVEN = (
     "drive's offset"
 )
 
+ALIKE = "No difference between the directions stands out of the scatter."
+
 
 def scatter_percent(analysis: Analysis, order: int) -> float:
     """The energy share that coefficients of nothing but scatter would have."""
     kernels = analysis.kernels
-    energy = comb(kernels.memory, order) * kernels.scatter**2
+    energy = comb(kernels.memory, order) * kernels.scatter_rms**2
     return 100.0 * energy / float(np.var(analysis.identification.measured))
 
 
@@ -36,7 +38,8 @@ def shown(analysis: Analysis, order: int) -> bool:
     elements = comb(analysis.kernels.memory, order)
     if not elements:
         return False
-    likely = scatter_percent(analysis, order) * (1.0 + DEVIATIONS * sqrt(2.0 / elements))
+    spread = sqrt((analysis.kernels.scatter_kurtosis - 1.0) / elements)
+    likely = scatter_percent(analysis, order) * (1.0 + DEVIATIONS * spread)
     return analysis.energy_percent[order - 1] > likely
 
 
@@ -58,7 +61,7 @@ def distortion_sentences(analysis: Analysis) -> list[str]:
         case True, True:
             kind = f"The nonlinearity is both {ODD}; and {EVEN}."
         case True, False:
-            kind = f"The nonlinearity is {ODD}. Both directions answer alike."
+            kind = f"The nonlinearity is {ODD}. {ALIKE}"
         case False, True:
             kind = f"The nonlinearity is {EVEN}. Nothing odd is seen."
         case _:

@@ -43,7 +43,7 @@ class RigModel(Protocol):
 
     @property
     def starts(self) -> Array:
-        """Where fits begin, shape (starts, numbers); the best of them wins."""
+        """Where fits begin, shape (starts, numbers); the best two of them are ended."""
         ...
 
     @property
@@ -166,7 +166,7 @@ class GreyBox:
     model: RigModel = SecondOrderPlay()
 
     def fit(self, training: Training) -> "GreyBoxModel":
-        """The best fit from all starts; FitError where no start leads anywhere."""
+        """The better of the two most promising starts; FitError where none leads anywhere."""
         whole, past = played_from_rest(training.inputs, training.history)
         low, high = self.model.bounds
 

@@ -8,12 +8,14 @@ from typer.testing import CliRunner
 
 from servo_bench.cli import app as cli
 from servo_bench.cli.design import ambiguous_pairs, experiment_text
-from servo_bench.diagnosis.candidates import MARGIN, Plan, candidates
+from servo_bench.diagnosis.candidates import MARGIN, ROOM, Plan, candidates
 from servo_bench.diagnosis.design import Pair, Separation, ranked, separation
 from servo_bench.diagnosis.verdict import Cause, Verdict
 from servo_bench.errors import ConfigError
 from servo_bench.excitation.experiment import load_experiment
+from servo_bench.excitation.prediction import predict
 from servo_bench.rig import load_rig
+from servo_bench.run.virtual import play_virtually
 
 RIG, PERIOD_S, MINUTES = "rigs/paper.toml", 0.008, 0.5
 GRID = candidates(load_rig(RIG), RIG, MINUTES, PERIOD_S)
@@ -28,6 +30,9 @@ def test_every_candidate_stays_within_the_rigs_limits_and_reads_back(
     schedule, limits = plan.experiment.schedule(), load_rig(RIG).limits
     assert schedule.peak_travel_rad <= MARGIN * limits.travel_rad
     assert schedule.peak_velocity_rad_s <= MARGIN * limits.velocity_rad_s
+    seen = predict(schedule, load_rig(RIG))  # the motor overshoots what it is told
+    assert seen.peak_velocity_rad_s <= ROOM * limits.velocity_rad_s
+    assert seen.motor_travel_rad <= ROOM * limits.travel_rad
     assert schedule.duration_s == pytest.approx(60.0 * MINUTES, rel=0.2)
     path = tmp_path / "experiment.toml"
     path.write_text(experiment_text(plan.experiment))
@@ -38,8 +43,9 @@ def test_full_turns_tell_an_encoder_off_centre_from_a_weight_off_centre() -> Non
     model, pair = load_rig(RIG).model(), frozenset({"encoder_eccentricity", "gravity_imbalance"})
     same = [p for p in GRID if p.levels == "five levels" and p.dwell == 1]
     still = next(p for p in same if p.bias_rad_s == 0.0)
-    turning = next(
-        p for p in same if p.bias_rad_s > 0.0 and p.amplitude_rad_s == still.amplitude_rad_s
+    turning = min(
+        (p for p in same if p.bias_rad_s > 0.0),
+        key=lambda p: abs(p.amplitude_rad_s - still.amplitude_rad_s),
     )
     told = [
         separation(plan, model, only=tuple(pair), pairs=[pair], sizes={}).worst
@@ -66,6 +72,20 @@ def test_limits_that_leave_no_room_are_told() -> None:
         candidates(tight, RIG, MINUTES, PERIOD_S)
     with pytest.raises(ConfigError, match="--minutes"):
         candidates(rig, RIG, 0.1, PERIOD_S)
+
+
+def test_a_torque_limit_makes_the_excitation_smaller() -> None:
+    rig = load_rig(RIG)
+    weak = rig.model_copy(update={"limits": rig.limits.model_copy(update={"torque_nm": 0.05})})
+    for plan in candidates(weak, RIG, MINUTES, PERIOD_S):
+        peak_a = predict(plan.experiment.schedule(), weak).peak_current_a
+        assert peak_a * rig.nominal.torque_constant_nm_per_a <= ROOM * 0.05
+
+
+def test_what_is_designed_can_be_played() -> None:
+    config = load_rig(RIG)
+    hardest = max(GRID, key=lambda p: predict(p.experiment.schedule(), config).peak_velocity_rad_s)
+    assert play_virtually(hardest.experiment, config).error is None
 
 
 def test_a_verdicts_pairs() -> None:

@@ -10,10 +10,11 @@ from typer.testing import CliRunner
 from drivers.canopen.profile import Gain, Gains, Shaping, generic
 from servo_bench.cli.app import app
 from servo_bench.excitation.experiment import Experiment, MSequence, RandomBinary
+from servo_bench.excitation.prediction import predict
 from servo_bench.rig import RigConfig, load_rig
 from servo_bench.run import preflight_read
 from servo_bench.run.finding import Finding, Level
-from servo_bench.run.preflight import predict, preflight
+from servo_bench.run.preflight import preflight
 from servo_bench.run.preflight_read import read_drive
 from tests.fake_canopen import I32, U16, U32, Entry, FakeRig
 

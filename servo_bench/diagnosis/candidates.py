@@ -7,6 +7,9 @@
 
 The validation has uniform levels, a smaller amplitude, and the bias turned round, so that the rig
 comes back.
+
+Inside the limits is not the command alone: the motor overshoots it, and the motor trips a run. So
+every candidate is played on the rig's model, and made smaller until the motion has `ROOM`.
 """
 
 import math
@@ -18,7 +21,8 @@ import numpy as np
 
 from servo_bench.errors import ConfigError
 from servo_bench.excitation.enumeration import primitive_polynomials
-from servo_bench.excitation.experiment import Experiment
+from servo_bench.excitation.experiment import Experiment, Schedule
+from servo_bench.excitation.prediction import predict
 from servo_bench.excitation.sequences import (
     FieldSequence,
     FromRecording,
@@ -27,12 +31,14 @@ from servo_bench.excitation.sequences import (
     RandomUniform,
 )
 from servo_bench.kernels.shifts import collision_free_memory
-from servo_bench.rig import RigConfig
+from servo_bench.rig import Limits, RigConfig
 
 Levels = Literal["five levels", "three amplitudes"]
 
-MARGIN = 0.95
-"""Of every limit."""
+MARGIN, ROOM = 0.95, 0.85
+"""Of every limit: what commands may use, and what the model's motion may, because the rig that is
+looked at is not quite its model."""
+SHRINKINGS = 4
 CROSSINGS = 2.0
 """Gaps that the largest command crosses in a period."""
 SLOWEST_RAD_S, FASTEST_RAD_S, MOST_BIAS_RAD_S = 1.0, 6.0, 1.0
@@ -100,13 +106,15 @@ def _grid(
     seen: set[tuple[object, ...]] = set()
     for levels in every:
         for dwell in DWELLS:
-            for share in AMPLITUDES:
-                for part in BIASES:
+            for part in BIASES:
+                amplitude = largest
+                for share in AMPLITUDES:
                     plan = _fitted(
-                        rig, rig_name, levels, dwell, share * largest, part, slots, period_s
+                        rig, rig_name, levels, dwell, share * amplitude, part, slots, period_s
                     )
                     if plan is None:
                         continue
+                    amplitude = min(amplitude, plan.amplitude_rad_s / share)
                     key = (levels, dwell, plan.amplitude_rad_s, plan.bias_rad_s)
                     if key not in seen:
                         seen.add(key)
@@ -124,19 +132,42 @@ def _fitted(  # noqa: PLR0917 - the grid's axes
     period_s: float,
 ) -> Plan | None:
     """With the largest bias of that part that the limits allow; None where even without it none."""
-    limits = rig.limits
     bias = part * min(MOST_BIAS_RAD_S, 0.5 * amplitude)
     tries = [bias * 0.5**k for k in range(HALVINGS)] if bias else [0.0]
     for one in tries:
-        plan = _plan(rig_name, levels, dwell, amplitude, round(one, 4), slots, period_s)
-        schedule = plan.experiment.schedule()
-        if (
-            schedule.peak_travel_rad <= MARGIN * limits.travel_rad
-            and schedule.peak_velocity_rad_s <= MARGIN * limits.velocity_rad_s
-            and schedule.duration_s <= limits.run_time_s
-        ):
-            return plan
+        size = amplitude
+        for _ in range(SHRINKINGS):
+            plan = _plan(rig_name, levels, dwell, size, round(one, 4), slots, period_s)
+            schedule = plan.experiment.schedule()
+            if not _may_be_commanded(schedule, rig.limits):
+                break
+            used = _used_by_motion(schedule, rig)
+            if used <= ROOM:
+                return plan
+            size *= 0.99 * ROOM / used
     return None
+
+
+def _may_be_commanded(schedule: Schedule, limits: Limits) -> bool:
+    return (
+        schedule.peak_travel_rad <= MARGIN * limits.travel_rad
+        and schedule.peak_velocity_rad_s <= MARGIN * limits.velocity_rad_s
+        and schedule.duration_s <= limits.run_time_s
+    )
+
+
+def _used_by_motion(schedule: Schedule, rig: RigConfig) -> float:
+    """The largest share of a limit that the rig's model uses."""
+    seen, limits = predict(schedule, rig), rig.limits
+    shares = [
+        seen.motor_travel_rad / limits.travel_rad,
+        seen.load_travel_rad / limits.travel_rad,
+        seen.peak_velocity_rad_s / limits.velocity_rad_s,
+    ]
+    if limits.torque_nm is not None:
+        torque_nm = seen.peak_current_a * rig.nominal.torque_constant_nm_per_a
+        shares.append(torque_nm / limits.torque_nm)
+    return max(shares)
 
 
 def _plan(  # noqa: PLR0917 - the grid's axes

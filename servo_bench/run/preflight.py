@@ -1,15 +1,10 @@
 """What an experiment will do to a rig, said before anything is enabled; from files alone.
 
-The rig's own model plays the schedule, each period in `PIECES` pieces. The peak current is the
-larger of what it passes through and K_P times the largest step of the command, which a velocity
-loop answers before anything has moved.
-
-    thermal margin  1 - (I_rms / I_rated)^2        I_rated = rated torque / K_T
+thermal margin  1 - (I_rms / I_rated)^2        I_rated = rated torque / K_T
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,50 +19,14 @@ from drivers.modbus.scaling import scale_of
 from drivers.modbus.settings import ModbusSettings
 from servo_bench.errors import BenchError, gathered
 from servo_bench.excitation.experiment import Experiment, Schedule
+from servo_bench.excitation.prediction import Prediction, predict
 from servo_bench.rig import ModbusDriveConfig, RigConfig
 from servo_bench.run.axes import axis_settings
 from servo_bench.run.finding import Finding, change, note, ok, stop
 from servo_bench.run.limits import check_schedule
 
-PIECES = 8
-MOST_SLOTS = 1 << 15
-"""A stationary excitation says all it has to say in so many slots."""
 COARSE = 0.01
 """A velocity quantum above this share of the command's amplitude is worth a change."""
-
-
-@dataclass(frozen=True, slots=True)
-class Prediction:
-    """What the model says; peaks are magnitudes."""
-
-    motor_travel_rad: float
-    load_travel_rad: float
-    peak_velocity_rad_s: float
-    peak_current_a: float
-    rms_current_a: float
-
-
-def predict(schedule: Schedule, rig: RigConfig) -> Prediction:
-    """Play the schedule on the rig's model. ConfigError where the rig has no such model."""
-    commands = schedule.velocity_rad_s[:MOST_SLOTS]
-    with gathered():
-        simulated = rig.model().simulate(
-            np.repeat(commands, PIECES), np.float64(schedule.period_s / PIECES)
-        )
-    step_rad_s = float(np.abs(np.diff(commands, prepend=0.0)).max(initial=0.0))
-    step_a = rig.nominal.proportional_gain_a_s_per_rad * step_rad_s
-    current_a = simulated.motor_current_a
-    return Prediction(
-        motor_travel_rad=_reach(simulated.motor_angle_rad),
-        load_travel_rad=_reach(simulated.load_angle_rad),
-        peak_velocity_rad_s=float(np.abs(simulated.motor_velocity_rad_s).max()),
-        peak_current_a=max(float(np.abs(current_a).max()), step_a),
-        rms_current_a=float(np.sqrt(np.mean(current_a**2))),
-    )
-
-
-def _reach(angle_rad: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
-    return float(np.abs(angle_rad - angle_rad[0]).max())
 
 
 def preflight(experiment: Experiment, rig: RigConfig) -> list[Finding]:

@@ -17,11 +17,12 @@ from drivers.modbus.setup import Registers
 from drivers.modbus.stopping import open_link
 from servo_bench.errors import gathered
 from servo_bench.excitation.experiment import Experiment, Schedule
+from servo_bench.excitation.prediction import predict
 from servo_bench.rig import RigConfig
 from servo_bench.run.axes import axis_settings
 from servo_bench.run.doctor.canopen import opened
 from servo_bench.run.finding import Finding, change, note, ok
-from servo_bench.run.preflight import judge_heat, judge_quantum, predict
+from servo_bench.run.preflight import judge_heat, judge_quantum
 
 _RAMPS = ((0x6083, "acceleration"), (0x6084, "deceleration"))
 _PER_CENT = 0.05

@@ -8,7 +8,7 @@ import pytest
 from servo_bench.diagnosis.comparison import Comparison, compare
 from servo_bench.diagnosis.evidence import SCALES, block_z
 from servo_bench.diagnosis.hygiene import heard, lattice, lost_commands
-from servo_bench.diagnosis.orders import motor_lines
+from servo_bench.diagnosis.orders import motor_lines, torque_waves
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, recorded, with_channels
 
@@ -52,6 +52,28 @@ def test_a_torque_line_is_found_at_its_order(order: float) -> None:
         compared(MODEL.with_effect("cogging", torque_nm=0.01, order=order), 15), MODEL
     )
     assert lines.torque[0].order == pytest.approx(order, abs=0.2)
+
+
+def test_strong_waves_of_three_orders_are_told_apart_by_size_and_phase() -> None:
+    hidden = {24.0: (0.02, 0.6), 12.0: (0.01, -1.1), 8.0: (0.004, 2.5)}
+    table: dict[str, float] = {}
+    for which, (order, (torque_nm, phase_rad)) in zip(
+        ("", "second_", "third_"), hidden.items(), strict=True
+    ):
+        table |= {
+            f"{which}torque_nm": torque_nm,
+            f"{which}order": order,
+            f"{which}phase_rad": phase_rad,
+        }
+    seen = compared(MODEL.with_effect("cogging", **table), 15)
+    found = [line.order for line in motor_lines(seen, MODEL).torque]
+    assert sorted(found) == pytest.approx([8.0, 12.0, 24.0], abs=0.3)
+    for wave in torque_waves(seen, MODEL, tuple(hidden)):
+        torque_nm, phase_rad = hidden[wave.order]
+        apart = abs(
+            np.exp(1j * wave.phase_rad) * wave.torque_nm / torque_nm - np.exp(1j * phase_rad)
+        )
+        assert apart < 0.25
 
 
 def test_the_advantage_of_nothing_over_itself_is_none() -> None:

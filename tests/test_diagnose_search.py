@@ -136,6 +136,47 @@ def test_what_is_held_out_has_no_part_in_the_verdict() -> None:
     assert strangers.error.share_explained < 0.5
 
 
+THREE_ORDERS = {
+    **{"torque_nm": 0.018, "order": 24.0, "phase_rad": 0.4},
+    **{"second_torque_nm": 0.009, "second_order": 12.0, "second_phase_rad": -2.0},
+    **{"third_torque_nm": 0.004, "third_order": 8.0, "third_phase_rad": 1.3},
+}
+STUCK = {"torque_nm": 0.05, "breakaway_angle_rad": 3e-4}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("effect", "hidden"),
+    [
+        ("cogging", THREE_ORDERS),
+        ("asymmetric_friction", {"difference_torque_nm": 0.008, "transition_rad_s": 0.7}),
+        ("load_dependent_friction", {"loss_fraction": 0.25, "transition_rad_s": 0.7}),
+        ("pre_sliding", STUCK),
+    ],
+)
+def test_a_strong_cause_is_named_alone_with_all_its_numbers(
+    effect: str, hidden: dict[str, float]
+) -> None:
+    """Neither lost commands nor a lattice are seen in a motor that is far from its model."""
+    seen = recorded(MODEL.with_effect(effect, **hidden), 28, slots=SLOTS)
+    finding = find_causes(
+        [seen],
+        MODEL,
+        only=(effect, "coulomb", "viscous", "missed_samples", "quantisation", "load_torque"),
+    )
+    verdict = verdict_of(finding)
+    assert verdict.names == (effect,), verdict.sentence
+    found = {name: quantity.value for name, quantity in verdict.causes[0].parameters.items()}
+    for name, value in found.items():
+        is_phase = name.endswith("phase_rad")
+        off = (
+            abs(np.exp(1j * (value - hidden[name])) - 1.0)
+            if is_phase
+            else value / hidden[name] - 1.0
+        )
+        assert abs(off) < 0.1, (name, value, hidden[name])
+
+
 def without(numbers: dict[str, object], names: set[str]) -> dict[str, object]:
     return {**numbers, **dict.fromkeys(names)}
 

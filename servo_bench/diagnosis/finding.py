@@ -16,6 +16,7 @@ Every stage is a function of values and can be called alone. Nothing here reads 
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,7 +32,13 @@ from servo_bench.diagnosis.hygiene import (
     lost_commands,
     wild_samples,
 )
-from servo_bench.diagnosis.hypotheses import Hypothesis, Scales, hypotheses, scales_of
+from servo_bench.diagnosis.hypotheses import (
+    Hypothesis,
+    Scales,
+    cogging_of,
+    hypotheses,
+    scales_of,
+)
 from servo_bench.diagnosis.joint import (
     SLOW,
     Named,
@@ -42,7 +49,17 @@ from servo_bench.diagnosis.joint import (
     play_slow_round,
     worth_a_name,
 )
-from servo_bench.diagnosis.orders import USUAL, OrderLine, Tone, load_lines, motor_lines, tone
+from servo_bench.diagnosis.orders import (
+    USUAL,
+    MotorLines,
+    OrderLine,
+    Tone,
+    Wave,
+    load_lines,
+    motor_lines,
+    tone,
+    torque_waves,
+)
 from servo_bench.diagnosis.rounds import (
     LEAST_GAIN,
     Round,
@@ -51,7 +68,7 @@ from servo_bench.diagnosis.rounds import (
 )
 from servo_bench.diagnosis.rows import Array
 from servo_bench.diagnosis.seeking import Found, seek
-from servo_bench.diagnosis.unknowns import nuisances
+from servo_bench.diagnosis.unknowns import Unknown, nuisances
 from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
@@ -68,10 +85,15 @@ FURTHER_PROMISE = 0.008
 
 @dataclass(frozen=True)
 class Finding:
-    """Everything that a verdict is written from."""
+    """Everything that a verdict is written from.
+
+    `recordings` and `held_out` have the commands that the drive heard; `told` is the one that
+    judges, with the commands that were sent.
+    """
 
     recordings: tuple[Recording, ...]
     held_out: Recording | None
+    told: Recording
     nominal: Model
     scales: Scales
     base: Found
@@ -109,27 +131,18 @@ def find_causes(
 ) -> Finding:
     """All stages but the verdict's words. Raises FitError where the data do not suffice."""
     began = time.perf_counter()
-    report("data hygiene")
-    recordings = tuple(recordings)
-    _need_command(recordings)
-    quick = quick_evidence(recordings, model, QUICK_ROWS, block=block)
-    longest_s = max(len(recording) * recording.period_s for recording in recordings)
-    scales = _scales(quick, model)._replace(seconds=longest_s)
-    band = nuisances(scales.torque_nm, scales.speed_rad_s, scales.gap_rad)
-    report("base fit")
-    base = seek(quick, model, band, iterations=4)
-    lost, told_recordings = _lost(recordings, base, block, without), (recordings, held_out)
-    if lost.rows:
-        recordings, held_out, lost = _put_right(recordings, held_out, base.model, block)
-        quick = quick_evidence(recordings, model, QUICK_ROWS, block=block)
-        base = seek(quick, model, band, iterations=4)
+    told = tuple(recordings), held_out
+    _need_command(told[0])
+    ready = _ready(*told, model, block, without, report)
+    recordings, held_out, lost = ready.recordings, ready.held_out, ready.lost
+    quick, base, scales, band = ready.quick, ready.base, ready.scales, ready.band
+    motor, waves, turns = ready.motor, ready.waves, _turns(quick)
     grid = None if "quantisation" in without else lattice(quick.fitted[0], base.model)
-    report("position spectrum")
-    motor, load = motor_lines(quick.fitted[0], base.model), load_lines(quick.fitted[0], base.model)
-    turns = _turns(quick)
+    load = load_lines(quick.fitted[0], base.model)
     candidates = hypotheses(
         scales,
-        motor_orders=[_whole_order(line.order, turns) for line in motor.torque] or USUAL,
+        motor_orders=[wave.order for wave in waves] or USUAL,
+        waves=waves,
         ripple_orders=[_whole_order(line.order, turns) for line in motor.ripple] or USUAL,
         load_orders=[line.order for line in load],
         without=tuple(without),
@@ -138,8 +151,8 @@ def find_causes(
     now, named, absorbed, rounds = _rounds(quick, base, candidates, scales, report)
     report("joint fit on everything")
     whole = evidence_of(recordings, model, block=block)
-    if lost.rows and _heard_after_all(whole, told_recordings[0], now, block):
-        recordings, held_out, lost = *told_recordings, LostCommands((), lost.changes)
+    if lost.rows and _heard_after_all(whole, told[0], now, block):
+        recordings, held_out, lost = *told, LostCommands((), lost.changes)
         whole = evidence_of(recordings, model, block=block)
     final, named = fit_jointly(whole, now, named, band, report)
     if not named and not absorbed:  # a line of its error may repeat with the shaft by chance
@@ -155,6 +168,8 @@ def find_causes(
     named = [n for one in named for n in worth_a_name(one, final, scales)]
     plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
     before = misfit(whole, plain.errors)
+    if grid is not None:  # a motor that sticks stands on the command's own steps
+        grid = lattice(quick.fitted[0], final.model)
     report("coasting")
     if named or absorbed:
         final = with_coasting(whole, final)
@@ -163,6 +178,7 @@ def find_causes(
     return Finding(
         recordings=recordings,
         held_out=held_out,
+        told=told[1] or told[0][0],
         nominal=model,
         scales=scales,
         base=plain,
@@ -182,6 +198,48 @@ def find_causes(
         misfit_after=misfit(whole, final.errors),
         seconds=time.perf_counter() - began,
     )
+
+
+class _Ready(NamedTuple):
+    """Recordings as their drive heard them, and what is known before any cause is tried."""
+
+    recordings: tuple[Recording, ...]
+    held_out: Recording | None
+    lost: LostCommands
+    quick: Evidence
+    base: Found
+    scales: Scales
+    band: tuple[Unknown, ...]
+    motor: MotorLines
+    waves: tuple[Wave, ...]
+
+
+def _ready(  # noqa: PLR0917 - what `find_causes` was given
+    recordings: tuple[Recording, ...],
+    held_out: Recording | None,
+    model: Model,
+    block: Choice,
+    without: Collection[str],
+    report: Told,
+) -> _Ready:
+    """Hygiene and base fit."""
+    report("data hygiene")
+    quick = quick_evidence(recordings, model, QUICK_ROWS, block=block)
+    longest_s = max(len(recording) * recording.period_s for recording in recordings)
+    scales = _scales(quick, model)._replace(seconds=longest_s)
+    band = nuisances(scales.torque_nm, scales.speed_rad_s, scales.gap_rad)
+    report("base fit")
+    base = seek(quick, model, band, iterations=4)
+    report("position spectrum")
+    motor, waves = _waves(quick, base.model)
+    known = _nearer(quick, base, waves)
+    lost = _lost(recordings, known, block, without)
+    if lost.rows:
+        recordings, held_out, lost = _put_right(recordings, held_out, known, block)
+        quick = quick_evidence(recordings, model, QUICK_ROWS, block=block)
+        base = seek(quick, model, band, iterations=4)
+        motor, waves = _waves(quick, base.model)
+    return _Ready(recordings, held_out, lost, quick, base, scales, band, motor, waves)
 
 
 def _need_command(recordings: Sequence[Recording]) -> None:
@@ -218,13 +276,30 @@ def _turns(quick: Evidence) -> float:
     return float(np.ptp(angle)) / (2.0 * np.pi)
 
 
+def _waves(quick: Evidence, model: Model) -> tuple[MotorLines, tuple[Wave, ...]]:
+    """Lines of the motor's shaft, and the torques at the orders that they mean."""
+    found = motor_lines(quick.fitted[0], model)
+    turns = _turns(quick)
+    orders = dict.fromkeys(_whole_order(line.order, turns) for line in found.torque)
+    return found, torque_waves(quick.fitted[0], model, tuple(orders))
+
+
+def _nearer(quick: Evidence, base: Found, waves: Sequence[Wave]) -> Model:
+    """The base, or the base with the waves that stand in its error where that is nearer."""
+    if not waves:
+        return base.model
+    with_waves = base.model.with_effect("cogging", **cogging_of(waves))
+    error = quick.seen([with_waves])[0]
+    return with_waves if error.cost(base.sigma) < base.errors.cost(base.sigma) else base.model
+
+
 def _lost(
-    recordings: Sequence[Recording], base: Found, block: Choice, without: Collection[str]
+    recordings: Sequence[Recording], known: Model, block: Choice, without: Collection[str]
 ) -> LostCommands:
     """What was lost in all recordings; rows are counted through them."""
     rows, changes, offset = list[int](), 0, 0
     for recording in recordings if "missed_samples" not in without else ():
-        found = lost_commands(compare(recording, base.model, block), base.model)
+        found = lost_commands(compare(recording, known, block), known)
         rows += [offset + row for row in found.rows]
         changes, offset = changes + found.changes, offset + len(recording)
     return LostCommands(tuple(rows), changes)

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from servo_bench.diagnosis.orders import Wave
 from servo_bench.diagnosis.unknowns import Unknown, widened
 from sim_rig.effects import catalogue, find_effect, thermal_friction
 from sim_rig.effects.effect import Effect
@@ -149,6 +150,9 @@ class Hypothesis:
 
 _FREE = {
     "coulomb": ("torque_nm", "transition_rad_s"),
+    "asymmetric_friction": ("difference_torque_nm", "transition_rad_s"),
+    "load_dependent_friction": ("loss_fraction", "transition_rad_s"),
+    "position_friction": ("swing_torque_nm", "phase_rad", "transition_rad_s"),
     "load_friction": ("torque_nm", "transition_rad_s"),
     "stribeck": ("excess_torque_nm", "stribeck_rad_s"),
     "pre_sliding": ("torque_nm", "breakaway_angle_rad"),
@@ -163,6 +167,7 @@ def hypotheses(
     scales: Scales,
     *,
     motor_orders: Sequence[float] = (),
+    waves: Sequence[Wave] = (),
     ripple_orders: Sequence[float] = (),
     load_orders: Sequence[float] = (),
     without: Sequence[str] = (),
@@ -178,7 +183,28 @@ def hypotheses(
         trials = tuple(_trials(effect, scales, _Orders(motor_orders, ripple_orders, load_orders)))
         if trials:
             found.append(Hypothesis(name, trials, _FREE.get(name) or _default_free(effect)))
+        if name == "cogging" and waves:
+            found.append(_as_measured(waves))
     return tuple(found)
+
+
+def _as_measured(waves: Sequence[Wave]) -> Hypothesis:
+    """Cogging of all the orders that stand in the errors, at their own sizes and phases."""
+    settings = cogging_of(waves)
+    free = tuple(name for name in settings if not name.endswith("order"))
+    return Hypothesis("cogging", (Trial("cogging", settings, waves[0].torque_nm),), free)
+
+
+def cogging_of(waves: Sequence[Wave]) -> dict[str, float]:
+    """The effect's parameters for as many waves as it has places."""
+    settings: dict[str, float] = {}
+    for which, wave in zip(("", "second_", "third_"), waves, strict=False):
+        settings |= {
+            f"{which}torque_nm": wave.torque_nm,
+            f"{which}order": wave.order,
+            f"{which}phase_rad": wave.phase_rad,
+        }
+    return settings
 
 
 class _Orders(NamedTuple):

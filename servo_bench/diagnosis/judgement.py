@@ -289,12 +289,16 @@ def _limits(finding: Finding, causes: Sequence[Cause]) -> Iterator[Limit]:
 
 
 def _error(finding: Finding, model: Model) -> ErrorFigures | None:
-    """rms of the first signal on data that no fit saw, before and after."""
+    """rms of the first signal on data that no fit saw: of the nominal model with what was sent, of
+    the other with what was heard."""
     judge = finding.held_out or finding.recordings[0]
     whole = finding.held_out is not None
-    comparison = compare(judge, finding.nominal, finding.whole.fitted[0].block)
+    comparison, sent = (
+        compare(one, finding.nominal, finding.whole.fitted[0].block)
+        for one in (judge, finding.told)
+    )
     where = comparison.seen | comparison.held_out if whole else comparison.held_out
-    before, after = (_rms(comparison, m, where) for m in (finding.nominal, model))
+    before, after = _rms(sent, finding.nominal, where), _rms(comparison, model, where)
     floor = comparison.signals[0].floor
     explainable = before**2 - floor**2
     share = (before**2 - after**2) / explainable if explainable > 0.0 else 0.0

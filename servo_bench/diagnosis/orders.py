@@ -5,14 +5,17 @@ nominal loop,
 
     w(s) = s/(J s^2 + K_T K_P s + K_T K_I) d(s),      i(s) = -(K_P + K_I/s) w(s),
 
-so every order, whole or not, is one filtered template. On the load a sensor's wave is in the angle
-as it is. A line counts where the share of the error that it explains is beyond chance.
+so every order, whole or not, is one filtered template. theta is the angle that was measured, where
+the motor has an encoder: the loop is linear in d, but a strong wave turns the shaft from where the
+nominal loop would have it by more than a period of a high order. On the load a sensor's wave is in
+the angle as it is. A line counts where the share of the error that it explains is beyond chance.
 """
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 from scipy.ndimage import median_filter
 from scipy.signal import cont2discrete, lfilter
 
@@ -21,6 +24,7 @@ from servo_bench.diagnosis.rows import Array
 from sim_rig.model import Model
 
 FINE_S = 2e-3
+FEWEST_ANGLES = 16
 MOST_ROWS = 2500
 LOWEST_MOTOR, HIGHEST_MOTOR = 2.6, 100.0
 """Below are weight, eccentricity and misalignment, which have effects of their own."""
@@ -54,27 +58,84 @@ class MotorLines(NamedTuple):
     ripple: tuple[OrderLine, ...]
 
 
+class Wave(NamedTuple):
+    """A torque on the motor's shaft, torque_nm sin(order theta + phase_rad)."""
+
+    order: float
+    torque_nm: float
+    phase_rad: float
+
+
 def motor_lines(comparison: Comparison, model: Model, most: int = 3) -> MotorLines:
     """The lines that stand out; both empty where none does, or the loop is not what is compared."""
     if comparison.block != "loop":
         return MotorLines((), ())
-    rows, piece = comparison.source.rows, comparison.pieces[0].piece
-    piece = piece._replace(last=min(piece.last, piece.first + MOST_ROWS))
-    period_s = rows.period_s
-    fine = max(1, round(period_s / FINE_S))
-    commands = np.repeat(rows.channel("velocity_command_rad_s")[piece.rows], fine)
-    durations = np.repeat(rows.durations_s[piece.rows] / fine, fine)
-    start = model.state(motor_angle_rad=piece.motor_angle_rad, load_angle_rad=piece.motor_angle_rad)
-    done = model.simulate(commands, durations, start)
-    targets = _targets(comparison, model, piece.last - piece.first - 1)
-    respond = _Response(model, period_s / fine, fine)
-    rms = max(float(np.sqrt(np.mean(done.motor_current_a**2))), 1e-12)
+    loop = _Loop.seen(comparison, model)
     return MotorLines(
         *(
-            _strongest(_Shaft(done.motor_angle_rad, weight), respond, targets, most)
-            for weight in (np.ones(commands.size), done.motor_current_a / rms)
+            _strongest(_Shaft(loop.angle, weight), loop, most)
+            for weight in (np.ones(loop.angle.size), loop.current)
         )
     )
+
+
+def torque_waves(comparison: Comparison, model: Model, orders: Sequence[float]) -> tuple[Wave, ...]:
+    """The waves of these orders that explain the error best together, the largest first."""
+    if comparison.block != "loop" or not orders:
+        return ()
+    loop = _Loop.seen(comparison, model)
+    shaft = _Shaft(loop.angle, np.ones(loop.angle.size))
+    columns = _columns(shaft, loop, orders)
+    parts = np.linalg.lstsq(columns, loop.values, rcond=None)[0].reshape(-1, 2)
+    waves = [
+        Wave(order, float(np.hypot(*part)), float(np.arctan2(*part)))
+        for order, part in zip(orders, parts, strict=True)
+    ]
+    return tuple(sorted(waves, key=lambda wave: -wave.torque_nm))
+
+
+class _Loop(NamedTuple):
+    """What orders are looked for in: the shaft on a fine grid, the current over its rms, the errors
+    and how a wave shows in them."""
+
+    angle: Array
+    current: Array
+    respond: "_Response"
+    targets: "Sequence[_Target]"
+
+    @classmethod
+    def seen(cls, comparison: Comparison, model: Model) -> "_Loop":
+        """Of the first piece's beginning."""
+        rows, piece = comparison.source.rows, comparison.pieces[0].piece
+        piece = piece._replace(last=min(piece.last, piece.first + MOST_ROWS))
+        period_s = rows.period_s
+        fine = max(1, round(period_s / FINE_S))
+        commands = np.repeat(rows.channel("velocity_command_rad_s")[piece.rows], fine)
+        durations = np.repeat(rows.durations_s[piece.rows] / fine, fine)
+        angle_rad = piece.motor_angle_rad
+        start = model.state(motor_angle_rad=angle_rad, load_angle_rad=angle_rad)
+        done = model.simulate(commands, durations, start)
+        rms = max(float(np.sqrt(np.mean(done.motor_current_a**2))), 1e-12)
+        angle = done.motor_angle_rad
+        if rows.has("motor_position_rad"):
+            angle = _finely(rows.channel("motor_position_rad")[piece.rows], angle, fine)
+        targets = _targets(comparison, model, piece.last - piece.first - 1)
+        respond = _Response(model, period_s / fine, fine)
+        return cls(angle, done.motor_current_a / rms, respond, targets)
+
+    @property
+    def values(self) -> Array:
+        """The whitened errors of all targets."""
+        return np.concatenate([target.values for target in self.targets])
+
+
+def _finely(measured: Array, simulated: Array, fine: int) -> Array:
+    """The measured angle between its samples, shape of `simulated`: cubic, where it is known."""
+    known = np.flatnonzero(np.isfinite(measured))
+    if known.size < FEWEST_ANGLES:
+        return simulated
+    spline = make_interp_spline(known * fine, measured[known], k=3)
+    return np.asarray(spline(np.minimum(np.arange(simulated.size), known[-1] * fine)))
 
 
 class _Shaft(NamedTuple):
@@ -84,27 +145,42 @@ class _Shaft(NamedTuple):
     weight: Array
 
 
-def _strongest(
-    shaft: _Shaft, respond: "_Response", targets: "Sequence[_Target]", most: int
-) -> tuple[OrderLine, ...]:
+def _strongest(shaft: _Shaft, loop: _Loop, most: int) -> tuple[OrderLine, ...]:
+    """One after another, each in what those before it leave."""
     turns = max(float(np.ptp(shaft.angle)) / (2.0 * np.pi), 0.25)
     step = float(np.clip(0.2 / turns, 0.02, 0.25))
+    width = max(1.0 / turns, 0.3)
     grid = np.arange(LOWEST_MOTOR, HIGHEST_MOTOR, 2.0 * step)
-
-    def height(order: float) -> tuple[float, float]:
-        return _height(respond.templates(shaft, order, targets), targets)
-
-    coarse = np.array([height(n)[1] for n in grid])
     found: list[OrderLine] = []
-    for place in np.argsort(-coarse)[:8]:
-        near = grid[place] + step * np.linspace(-2.0, 2.0, 9)
-        heights = [height(n) for n in near]
-        best = int(np.argmax([h for _, h in heights]))
-        line = OrderLine(float(near[best]), *map(float, heights[best]))
-        width = max(1.0 / turns, 0.3)
-        if line.height > STANDS_OUT and all(abs(line.order - f.order) > width for f in found):
-            found.append(line)
-    return tuple(sorted(found, key=lambda f: -f.share)[:most])
+    while len(found) < most:
+        left = _left(shaft, loop, [line.order for line in found])
+        lines = [_line(shaft, loop, left, float(order)) for order in grid]
+        near = max(lines, key=lambda line: line.height).order + step * np.linspace(-2.0, 2.0, 9)
+        best = max((_line(shaft, loop, left, float(n)) for n in near), key=lambda it: it.height)
+        if best.height < STANDS_OUT:
+            break
+        found.append(best)
+        grid = grid[np.abs(grid - best.order) > width]
+    return tuple(found)
+
+
+def _line(shaft: _Shaft, loop: _Loop, values: Array, order: float) -> OrderLine:
+    """Share of the variance that sine and cosine explain, and that over what chance would."""
+    return OrderLine(order, *_explained(loop.respond.templates(shaft, order, loop.targets), values))
+
+
+def _left(shaft: _Shaft, loop: _Loop, orders: Sequence[float]) -> Array:
+    """What waves of these orders together leave of the errors."""
+    if not orders:
+        return loop.values
+    columns = _columns(shaft, loop, orders)
+    return np.asarray(loop.values - columns @ np.linalg.lstsq(columns, loop.values, rcond=None)[0])
+
+
+def _columns(shaft: _Shaft, loop: _Loop, orders: Sequence[float]) -> Array:
+    """Cosine and sine of each order, as they show; shape (points, 2 orders)."""
+    found = [loop.respond.templates(shaft, order, loop.targets) for order in orders]
+    return np.stack([part for t in found for part in (t.real, t.imag)], axis=1)
 
 
 class _Target(NamedTuple):
@@ -166,12 +242,6 @@ class _Response:
                 current = -(self.k_p * speed + self.k_i * at_rows)[1:]
                 parts.append(current[: target.values.size] * target.known)
         return np.concatenate(parts)
-
-
-def _height(template: Array, targets: Sequence[_Target]) -> tuple[float, float]:
-    """Share of the variance that sine and cosine explain, and that over what chance would."""
-    values = np.concatenate([t.values for t in targets])
-    return _explained(template, values)
 
 
 def _explained(template: Array, values: Array) -> tuple[float, float]:

@@ -63,7 +63,7 @@ def screen(
 
 
 def _phased(hypothesis: Hypothesis) -> list[tuple[Trial, ...]]:
-    """Each trial alone; with a phase, at two a quarter apart, or at eight where it has a vehicle.
+    """Each trial alone; without its phase, at two a quarter apart, or at eight beside a vehicle.
 
     Beside a vehicle, which changes more than the effect does, two templates would only cancel.
     """
@@ -71,7 +71,9 @@ def _phased(hypothesis: Hypothesis) -> list[tuple[Trial, ...]]:
         return [(trial,) for trial in hypothesis.trials]
     found: list[tuple[Trial, ...]] = []
     for trial in hypothesis.trials:
-        if trial.beside:
+        if "phase_rad" in trial.settings:
+            found.append((trial,))
+        elif trial.beside:
             found += [(_turned(trial, phase),) for phase in np.arange(8) * (np.pi / 4.0)]
         else:
             found.append((_turned(trial, 0.0), _turned(trial, QUARTER)))

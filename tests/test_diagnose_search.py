@@ -5,7 +5,7 @@ import pytest
 
 from servo_bench.diagnosis.evidence import ASKED, Evidence, evidence_of
 from servo_bench.diagnosis.finding import find_causes, nothing_told
-from servo_bench.diagnosis.gate import material_sizes, passes, passes_slowly
+from servo_bench.diagnosis.gate import is_noted, material_sizes, passes, passes_slowly
 from servo_bench.diagnosis.hypotheses import Scales, Trial, hypotheses
 from servo_bench.diagnosis.judgement import quantities, standard_errors, verdict_of
 from servo_bench.diagnosis.rounds import play_round
@@ -57,6 +57,12 @@ def test_a_search_that_is_settled_is_at_the_truth(lost: tuple[Evidence, Found]) 
     seen, found = lost
     settled = settle(seen, found, {"cogging"}, turns=4)
     assert settled.value("cogging.torque_nm") == pytest.approx(COGGING_NM, rel=0.02)
+
+
+def test_a_spring_is_no_cause_where_nothing_is_wrong() -> None:
+    assert not is_noted("coupling_compliance", np.array([0.33, 0.1]))
+    assert is_noted("coupling_compliance", np.array([0.1, 0.91]))
+    assert is_noted("encoder_eccentricity", np.array([0.1, 0.1]))
 
 
 def test_a_signal_that_is_all_wrong_is_weighed_by_what_may_be_missed() -> None:

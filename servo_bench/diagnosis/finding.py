@@ -23,7 +23,7 @@ import numpy as np
 from servo_bench.diagnosis.coasting import is_coasting, with_coasting
 from servo_bench.diagnosis.comparison import Choice, compare
 from servo_bench.diagnosis.evidence import Evidence, evidence_of, quick_evidence
-from servo_bench.diagnosis.gate import material_sizes, misfit, passes
+from servo_bench.diagnosis.gate import is_noted, material_sizes, misfit, passes
 from servo_bench.diagnosis.hygiene import (
     Lattice,
     LostCommands,
@@ -164,10 +164,12 @@ def find_causes(
         final, named = fit_jointly(whole, late.contender.found, [*named, late], band, report)
     if not is_coasting(final.model):  # its contact is no vehicle that a cause was tried on
         named += needed_vehicle(whole, final, named, band, report)
-    absorbed += [n.effect for n in named if not is_worth_it(n, final, scales)]
-    named = [n for one in named for n in worth_a_name(one, final, scales)]
     plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
     before = misfit(whole, plain.errors)
+    absorbed += [n.effect for n in named if not is_worth_it(n, final, scales)]
+    absorbed += [n.effect for n in named if not is_noted(n.effect, before)]
+    named = [n for one in named for n in worth_a_name(one, final, scales)]
+    named = [n for n in named if is_noted(n.effect, before)]
     if grid is not None:  # a motor that sticks stands on the command's own steps
         grid = lattice(quick.fitted[0], final.model)
     report("coasting")

@@ -64,8 +64,9 @@ def material_sizes(s: Scales) -> dict[str, float]:
     }
 
 
-SPRINGS, GIVE = frozenset({"contact", "coupling_compliance"}), 0.1
-"""Every shaft and face gives way: worth a name where that takes so much of the held-out cost."""
+SPRINGS, GIVE, NOTED = frozenset({"contact", "coupling_compliance"}), 0.1, 0.5
+"""Every shaft and face gives way: worth a name where that takes so much of the held-out cost, and
+where a simulation without it has so much of the misfit that a right one may have."""
 
 
 def is_material(model: Model, effect: str, scales: Scales, held_gain: float = 0.0) -> bool:
@@ -77,6 +78,11 @@ def is_material(model: Model, effect: str, scales: Scales, held_gain: float = 0.
         return False
     size = material_sizes(scales).get(effect, 0.0)
     return abs(strength_of(model, effect)) >= size * (HALF if held_gain > A_FIFTH else 1.0)
+
+
+def is_noted(effect: str, misfit_before: Array) -> bool:
+    """Whether enough is wrong without the effect: three free numbers of a spring fit anything."""
+    return effect not in SPRINGS or float(misfit_before.max()) > NOTED
 
 
 def passes_slowly(contender: Contender) -> bool:

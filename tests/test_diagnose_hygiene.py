@@ -46,6 +46,24 @@ def test_a_coarse_angle_is_measured_by_its_lattice() -> None:
     assert lattice(compared(MODEL, 14), MODEL) is None
 
 
+def test_a_lattice_is_found_in_noise_of_a_third_of_its_quantum() -> None:
+    quantum_rad = 3.5e-4
+    noisy = with_channels(
+        (clean := recorded(MODEL, 16, slots=2500, noise_counts=0.0)),
+        load_angle_rad=_coarse(np.array(clean["load_angle_rad"]), quantum_rad, 0.3 * quantum_rad),
+    )
+    found = lattice(compare(noisy, MODEL, scales=SCALES), MODEL)
+    assert found is not None
+    assert found.quantum_rad == pytest.approx(quantum_rad, rel=1e-3)
+
+
+def _coarse(angle_rad: np.ndarray, quantum_rad: float, noise_rad: float) -> np.ndarray:
+    """A coarse encoder's angle with white noise that came after it, in counts of a finer one."""
+    white = noise_rad * np.random.default_rng(16).standard_normal(angle_rad.size)
+    count_rad = math.tau / 65536
+    return np.rint((np.rint(angle_rad / quantum_rad) * quantum_rad + white) / count_rad) * count_rad
+
+
 @pytest.mark.parametrize("order", [12.0, 24.0])
 def test_a_torque_line_is_found_at_its_order(order: float) -> None:
     lines = motor_lines(

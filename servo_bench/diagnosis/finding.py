@@ -137,7 +137,6 @@ def find_causes(
     recordings, held_out, lost = ready.recordings, ready.held_out, ready.lost
     quick, base, scales, band = ready.quick, ready.base, ready.scales, ready.band
     motor, waves, turns = ready.motor, ready.waves, _turns(quick)
-    grid = None if "quantisation" in without else lattice(quick.fitted[0], base.model)
     load = load_lines(quick.fitted[0], base.model)
     candidates = hypotheses(
         scales,
@@ -170,8 +169,8 @@ def find_causes(
     absorbed += [n.effect for n in named if not is_noted(n.effect, before)]
     named = [n for one in named for n in worth_a_name(one, final, scales)]
     named = [n for n in named if is_noted(n.effect, before)]
-    if grid is not None:  # a motor that sticks stands on the command's own steps
-        grid = lattice(quick.fitted[0], final.model)
+    # judged beside what is known now: a motor that sticks stands on the command's own steps
+    grid = None if "quantisation" in without else lattice(whole.fitted[0], final.model)
     report("coasting")
     if named or absorbed:
         final = with_coasting(whole, final)

@@ -11,6 +11,7 @@ lattice of its quantum, whatever moves. Both are exact statements about data; ne
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from servo_bench.diagnosis.comparison import Comparison
 from servo_bench.diagnosis.rows import Array
@@ -27,8 +28,9 @@ LEFT = 0.2
 CLEAR = 8.0
 """A lost chip's response over its own scatter."""
 FINEST_QUANTUM_RAD, COARSEST_QUANTUM_RAD = 1.5e-4, 3e-3
-LATTICE = 0.25
-"""Mean of exp(2 pi j y / q): 1 on a perfect lattice, 1/sqrt(n) by chance."""
+LATTICE, ABOUT_BINS = 5.0, 801
+"""Mean of exp(2 pi j y / q) over its own rms at neighbouring q, which chance, and chips of equal
+size, bring to less than 4."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,14 +152,17 @@ def lattice(comparison: Comparison, model: Model) -> Lattice | None:
     if highest <= lowest:
         return None
     frequencies, score = _spectrum(angle, travel, highest)
-    inside = (frequencies >= lowest) & (frequencies <= highest)
-    frequency = float(frequencies[inside][np.argmax(score[inside])])
+    about = np.sqrt(uniform_filter1d(score**2, ABOUT_BINS))
+    stands_out = (frequencies >= lowest) & (frequencies <= highest) & (score > LATTICE * about)
+    if not stands_out.any():
+        return None
+    frequency = float(frequencies[stands_out][np.argmax(score[stands_out])])
     centred = angle - angle.mean()
     near = frequency + np.linspace(-0.5, 0.5, 101) / travel
     refined = np.abs(np.exp(2j * np.pi * np.outer(near, centred)).mean(axis=1))
     frequency, clear = float(near[np.argmax(refined)]), float(refined.max())
     of_command = abs(np.exp(2j * np.pi * frequency * shown).mean())
-    if clear < LATTICE or of_command > 0.5 * clear:
+    if of_command > 0.5 * clear:
         return None
     spread = np.sqrt(max(1.0 - clear, 1e-6)) / (travel * np.sqrt(angle.size)) / frequency**2
     return Lattice(1.0 / frequency, float(spread), clear)

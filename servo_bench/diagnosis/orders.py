@@ -34,6 +34,8 @@ USUAL = (6.0, 8.0, 10.0, 12.0, 24.0)
 """Orders that are tried where no line stands out."""
 STANDS_OUT = 25.0
 """Explained over mean residual variance, of two degrees of freedom: exp(-12.5) by chance."""
+FAINT = 5.0
+"""What stands out by less is not looked at again when a stronger line is taken out."""
 LOAD_STANDS_OUT = 90.0
 """Of a load line: bounces in the gap make lines by chance up to 70 among the 4184 orders."""
 TONE = 60.0
@@ -135,7 +137,8 @@ def _finely(measured: Array, simulated: Array, fine: int) -> Array:
     if known.size < FEWEST_ANGLES:
         return simulated
     spline = make_interp_spline(known * fine, measured[known], k=3)
-    return np.asarray(spline(np.minimum(np.arange(simulated.size), known[-1] * fine)))
+    places = np.clip(np.arange(simulated.size), known[0] * fine, known[-1] * fine)
+    return np.asarray(spline(places))
 
 
 class _Shaft(NamedTuple):
@@ -152,7 +155,7 @@ def _strongest(shaft: _Shaft, loop: _Loop, most: int) -> tuple[OrderLine, ...]:
     width = max(1.0 / turns, 0.3)
     grid = np.arange(LOWEST_MOTOR, HIGHEST_MOTOR, 2.0 * step)
     found: list[OrderLine] = []
-    while len(found) < most:
+    while len(found) < most and grid.size:
         left = _left(shaft, loop, [line.order for line in found])
         lines = [_line(shaft, loop, left, float(order)) for order in grid]
         near = max(lines, key=lambda line: line.height).order + step * np.linspace(-2.0, 2.0, 9)
@@ -160,7 +163,8 @@ def _strongest(shaft: _Shaft, loop: _Loop, most: int) -> tuple[OrderLine, ...]:
         if best.height < STANDS_OUT:
             break
         found.append(best)
-        grid = grid[np.abs(grid - best.order) > width]
+        heights = np.array([line.height for line in lines])
+        grid = grid[(np.abs(grid - best.order) > width) & (heights > FAINT)]
     return tuple(found)
 
 

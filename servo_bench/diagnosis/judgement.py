@@ -18,11 +18,12 @@ from servo_bench.diagnosis.classes import class_of, splitting
 from servo_bench.diagnosis.coasting import is_coasting, slowing_rad_s2
 from servo_bench.diagnosis.comparison import Comparison, compare
 from servo_bench.diagnosis.evidence import block_z
-from servo_bench.diagnosis.finding import Finding, order_tolerance
+from servo_bench.diagnosis.finding import Finding
 from servo_bench.diagnosis.free import unit_of
 from servo_bench.diagnosis.gate import material_sizes
 from servo_bench.diagnosis.hypotheses import Scales
 from servo_bench.diagnosis.joint import Named
+from servo_bench.diagnosis.readying import order_tolerance
 from servo_bench.diagnosis.rows import Array, Mask
 from servo_bench.diagnosis.seeking import Found
 from servo_bench.diagnosis.verdict import Cause, ErrorFigures, Kind, Limit, Quantity, Verdict

@@ -1,0 +1,152 @@
+"""What is known before any cause is tried: the base, the shaft's orders, and what was lost.
+
+Which commands were lost is asked of a simulation that is as near as can be had at once: the
+nominal model with its nuisances, and with the torques that stand in its error along the shaft. Else
+what they do to single chips looks like a loss.
+"""
+
+from collections.abc import Collection, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from servo_bench.diagnosis.comparison import Choice, compare
+from servo_bench.diagnosis.evidence import Evidence, evidence_of, quick_evidence
+from servo_bench.diagnosis.hygiene import LostCommands, heard, lost_commands
+from servo_bench.diagnosis.hypotheses import Scales, cogging_of, scales_of
+from servo_bench.diagnosis.orders import MotorLines, Wave, motor_lines, torque_waves
+from servo_bench.diagnosis.rounds import Told
+from servo_bench.diagnosis.seeking import Found, seek
+from servo_bench.diagnosis.unknowns import Unknown, nuisances
+from servo_bench.recording.recording import Recording
+from sim_rig.model import Model
+
+QUICK_ROWS = 2200
+"""Rows of every recording on which candidates are tried: 18 s at 8 ms."""
+
+
+class Ready(NamedTuple):
+    """Recordings as their drive heard them, and what is known before any cause is tried."""
+
+    recordings: tuple[Recording, ...]
+    held_out: Recording | None
+    lost: LostCommands
+    quick: Evidence
+    base: Found
+    scales: Scales
+    band: tuple[Unknown, ...]
+    motor: MotorLines
+    waves: tuple[Wave, ...]
+
+
+def made_ready(  # noqa: PLR0917 - what `find_causes` was given
+    recordings: tuple[Recording, ...],
+    held_out: Recording | None,
+    model: Model,
+    block: Choice,
+    without: Collection[str],
+    report: Told,
+) -> Ready:
+    """Hygiene and base fit."""
+    report("data hygiene")
+    quick = quick_evidence(recordings, model, QUICK_ROWS, block=block)
+    longest_s = max(len(recording) * recording.period_s for recording in recordings)
+    scales = _scales(quick, model)._replace(seconds=longest_s)
+    band = nuisances(scales.torque_nm, scales.speed_rad_s, scales.gap_rad)
+    report("base fit")
+    base = seek(quick, model, band, iterations=4)
+    report("position spectrum")
+    motor, waves = _waves(quick, base.model)
+    known = _nearer(quick, base, waves)
+    lost = _lost(recordings, known, block, without)
+    if lost.rows:
+        recordings, held_out, lost = _put_right(recordings, held_out, known, block)
+        quick = quick_evidence(recordings, model, QUICK_ROWS, block=block)
+        base = seek(quick, model, band, iterations=4)
+        motor, waves = _waves(quick, base.model)
+    return Ready(recordings, held_out, lost, quick, base, scales, band, motor, waves)
+
+
+def order_tolerance(turns: float) -> float:
+    """How far from a whole number an order may be found that is one: turns tell orders apart."""
+    return max(0.12, 0.3 / max(turns, 0.3))
+
+
+def whole_order(order: float, turns: float) -> float:
+    """The nearest whole order, where it is as near as the record's turns can tell."""
+    return float(round(order)) if abs(order - round(order)) < order_tolerance(turns) else order
+
+
+def turns_of(quick: Evidence) -> float:
+    """Full turns that the command asks for in the recording's beginning."""
+    rows = quick.fitted[0].source.rows
+    if not rows.has("velocity_command_rad_s"):
+        return 0.0
+    angle = np.nancumsum(rows.channel("velocity_command_rad_s") * rows.durations_s)
+    return float(np.ptp(angle)) / (2.0 * np.pi)
+
+
+def _waves(quick: Evidence, model: Model) -> tuple[MotorLines, tuple[Wave, ...]]:
+    """Lines of the motor's shaft, and the torques at the orders that they mean."""
+    found = motor_lines(quick.fitted[0], model)
+    turns = turns_of(quick)
+    orders = dict.fromkeys(whole_order(line.order, turns) for line in found.torque)
+    return found, torque_waves(quick.fitted[0], model, tuple(orders))
+
+
+def _nearer(quick: Evidence, base: Found, waves: Sequence[Wave]) -> Model:
+    """The base, or the base with the waves that stand in its error where that is nearer."""
+    if not waves:
+        return base.model
+    with_waves = base.model.with_effect("cogging", **cogging_of(waves))
+    error = quick.seen([with_waves])[0]
+    return with_waves if error.cost(base.sigma) < base.errors.cost(base.sigma) else base.model
+
+
+def _scales(quick: Evidence, model: Model) -> Scales:
+    source = quick.fitted[0].source
+    rows, piece = source.rows, source.pieces(quick.fitted[0].window_s)[0]
+    commands = rows.channel("velocity_command_rad_s")[piece.rows]
+    return scales_of(model, commands, model.simulate(commands, rows.durations_s[piece.rows]))
+
+
+def _lost(
+    recordings: Sequence[Recording], known: Model, block: Choice, without: Collection[str]
+) -> LostCommands:
+    """What was lost in all recordings; rows are counted through them."""
+    rows, changes, offset = list[int](), 0, 0
+    for recording in recordings if "missed_samples" not in without else ():
+        found = lost_commands(compare(recording, known, block), known)
+        rows += [offset + row for row in found.rows]
+        changes, offset = changes + found.changes, offset + len(recording)
+    return LostCommands(tuple(rows), changes)
+
+
+def _put_right(
+    recordings: tuple[Recording, ...], held_out: Recording | None, model: Model, block: Choice
+) -> tuple[tuple[Recording, ...], Recording | None, LostCommands]:
+    """Every recording with the commands that were heard, and how many were lost in all."""
+    every = [*recordings, *([held_out] if held_out is not None else [])]
+    right, rows, changes = [], [], 0
+    for number, recording in enumerate(every):
+        found = lost_commands(compare(recording, model, block), model)
+        again = heard(recording, found)
+        more = lost_commands(compare(again, model, block), model)
+        right.append(heard(again, more))
+        if number < len(recordings):
+            rows += [*found.rows, *more.rows]
+            changes += found.changes
+    judge = right.pop() if held_out is not None else None
+    return tuple(right), judge, LostCommands(tuple(sorted(rows)), changes)
+
+
+def heard_after_all(
+    whole: Evidence,
+    told: Sequence[Recording],
+    now: Found,
+    block: Choice,
+) -> bool:
+    """Whether, with the causes known, the commands as sent explain the recording better."""
+    sent = evidence_of(told, now.model, block=block)
+    as_sent, as_heard = sent.seen([now.model])[0], whole.seen([now.model])[0]
+    return as_sent.cost(now.sigma) <= as_heard.cost(now.sigma)

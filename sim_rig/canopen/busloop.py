@@ -116,7 +116,14 @@ class RigOnBus:
                 with self._lock:
                     self.rig.tick(now_us)
         except (can.CanError, OSError) as error:
-            raise SimRigError(f"The rig lost its bus: {error}. Start the rig again.") from error
+            raise SimRigError(f"The rig lost its bus: {self._why(error)}.") from error
+
+    def _why(self, error: Exception) -> str:
+        """In one line: python-can puts a whole traceback into its errors' words."""
+        if hung_up(self._bus):
+            return "the hub closed the connection. Start the rig again"
+        words = " ".join(str(error).split("Traceback")[0].split())
+        return f"{words.rstrip('. ')}. Start the rig again"
 
     def load_counts(self, monotonic_us: int) -> int:
         """The load encoder's count at a time of this host's clock, from any thread."""

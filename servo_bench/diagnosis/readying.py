@@ -23,6 +23,8 @@ from sim_rig.model import Model
 
 QUICK_ROWS = 2200
 """Rows of every recording on which candidates are tried: 18 s at 8 ms."""
+MOST_OF_IT = 0.5
+"""Of the base's cost, what waves may leave to be believed at once."""
 
 
 class Ready(NamedTuple):
@@ -95,12 +97,16 @@ def _waves(quick: Evidence, model: Model) -> tuple[MotorLines, tuple[Wave, ...]]
 
 
 def _nearer(quick: Evidence, base: Found, waves: Sequence[Wave]) -> Model:
-    """The base, or the base with the waves that stand in its error where that is nearer."""
+    """The base, or the base with the waves that stand in its error where they are most of it.
+
+    Lines by chance stand in every large error, and take a little of it.
+    """
     if not waves:
         return base.model
     with_waves = base.model.with_effect("cogging", **cogging_of(waves))
     error = quick.seen([with_waves])[0]
-    return with_waves if error.cost(base.sigma) < base.errors.cost(base.sigma) else base.model
+    nearer = error.cost(base.sigma) < MOST_OF_IT * base.errors.cost(base.sigma)
+    return with_waves if nearer else base.model
 
 
 def _scales(quick: Evidence, model: Model) -> Scales:

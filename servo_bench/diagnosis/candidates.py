@@ -84,10 +84,12 @@ def candidates(rig: RigConfig, rig_name: str, minutes: float, period_s: float) -
     found = tuple(_grid(rig, rig_name, slots, period_s, largest))
     if not found:
         limits = rig.limits
+        torque = "" if limits.torque_nm is None else f", limits.torque_nm = {limits.torque_nm:g}"
         raise ConfigError(
             f"no excitation fits into limits.travel_rad = {limits.travel_rad:g} and "
-            f"limits.velocity_rad_s = {limits.velocity_rad_s:g}: the sequence alone wanders "
-            "further. Give fewer --minutes, or raise the limits if the rig allows it."
+            f"limits.velocity_rad_s = {limits.velocity_rad_s:g}{torque}: what is commanded, or the "
+            "motion of the rig's model, goes further. Give fewer --minutes, or raise the limits if "
+            "the rig allows it."
         )
     return found
 

@@ -1,9 +1,10 @@
 """The diagnosis: from recordings to a verdict, stage by stage.
 
-    hygiene     lost commands are put right and counted; a lattice of the load angle is looked for
     base        nominal model and its nuisances, fitted on the recording's beginning
+    hygiene     lost commands are put right and counted
     rounds      screen, fit, compete, accept; what is there but too small to matter is absorbed
     whole       everything accepted, on all that was recorded, in fine steps; backward deletion
+    lattice     of the load angle, where the simulation with its causes does not stand on it too
     judgement   named, none, or unknown; confidence, rivals, limits, gain on data no fit saw
 
 Causes are chosen on the recordings alone: fitted on the identification, judged on the validation.
@@ -21,17 +22,8 @@ from servo_bench.diagnosis.coasting import is_coasting, with_coasting
 from servo_bench.diagnosis.comparison import Choice
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.gate import is_noted, material_sizes, misfit, passes
-from servo_bench.diagnosis.hygiene import (
-    Lattice,
-    LostCommands,
-    lattice,
-    wild_samples,
-)
-from servo_bench.diagnosis.hypotheses import (
-    Hypothesis,
-    Scales,
-    hypotheses,
-)
+from servo_bench.diagnosis.hygiene import Lattice, LostCommands, lattice, wild_samples
+from servo_bench.diagnosis.hypotheses import Hypothesis, Scales, hypotheses
 from servo_bench.diagnosis.joint import (
     SLOW,
     Named,
@@ -42,13 +34,7 @@ from servo_bench.diagnosis.joint import (
     play_slow_round,
     worth_a_name,
 )
-from servo_bench.diagnosis.orders import (
-    USUAL,
-    OrderLine,
-    Tone,
-    load_lines,
-    tone,
-)
+from servo_bench.diagnosis.orders import USUAL, OrderLine, Tone, load_lines, tone
 from servo_bench.diagnosis.readying import heard_after_all, made_ready, turns_of, whole_order
 from servo_bench.diagnosis.rounds import (
     LEAST_GAIN,
@@ -120,7 +106,7 @@ def find_causes(
     began = time.perf_counter()
     told = tuple(recordings), held_out
     _need_command(told[0])
-    ready = made_ready(*told, model, block, without, report)
+    ready = made_ready(*told, model, block=block, without=without, report=report)
     recordings, held_out, lost = ready.recordings, ready.held_out, ready.lost
     quick, base, scales, band = ready.quick, ready.base, ready.scales, ready.band
     motor, waves, turns = ready.motor, ready.waves, turns_of(quick)

@@ -41,25 +41,26 @@ class Ready(NamedTuple):
     waves: tuple[Wave, ...]
 
 
-def made_ready(  # noqa: PLR0917 - what `find_causes` was given
+def made_ready(
     recordings: tuple[Recording, ...],
     held_out: Recording | None,
     model: Model,
+    *,
     block: Choice,
     without: Collection[str],
     report: Told,
 ) -> Ready:
-    """Hygiene and base fit."""
-    report("data hygiene")
+    """Base fit, orders, and what was lost."""
+    report("base fit")
     quick = quick_evidence(recordings, model, QUICK_ROWS, block=block)
     longest_s = max(len(recording) * recording.period_s for recording in recordings)
     scales = _scales(quick, model)._replace(seconds=longest_s)
     band = nuisances(scales.torque_nm, scales.speed_rad_s, scales.gap_rad)
-    report("base fit")
     base = seek(quick, model, band, iterations=4)
     report("position spectrum")
     motor, waves = _waves(quick, base.model)
     known = _nearer(quick, base, waves)
+    report("data hygiene")
     lost = _lost(recordings, known, block, without)
     if lost.rows:
         recordings, held_out, lost = _put_right(recordings, held_out, known, block)

@@ -1,6 +1,8 @@
 """What an experiment will do to a rig, said before anything is enabled; from files alone.
 
-thermal margin  1 - (I_rms / I_rated)^2        I_rated = rated torque / K_T
+What it will do is foretold by the rig's own model (`excitation.prediction`).
+
+    thermal margin  1 - (I_rms / I_rated)^2        I_rated = rated torque / K_T
 """
 
 import math

@@ -70,6 +70,9 @@ def test_limits_that_leave_no_room_are_told() -> None:
     tight = rig.model_copy(update={"limits": rig.limits.model_copy(update={"travel_rad": 0.01})})
     with pytest.raises(ConfigError, match="travel_rad"):
         candidates(tight, RIG, MINUTES, PERIOD_S)
+    weak = rig.model_copy(update={"limits": rig.limits.model_copy(update={"torque_nm": 1e-7})})
+    with pytest.raises(ConfigError, match="torque_nm = 1e-07"):
+        candidates(weak, RIG, MINUTES, PERIOD_S)
     with pytest.raises(ConfigError, match="--minutes"):
         candidates(rig, RIG, 0.1, PERIOD_S)
 

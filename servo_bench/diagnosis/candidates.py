@@ -38,7 +38,7 @@ Levels = Literal["five levels", "three amplitudes"]
 MARGIN, ROOM = 0.95, 0.85
 """Of every limit: what commands may use, and what the model's motion may, because the rig that is
 looked at is not quite its model."""
-SHRINKINGS = 4
+SHRINKINGS, SMALLEST_RAD_S = 4, 0.01
 CROSSINGS = 2.0
 """Gaps that the largest command crosses in a period."""
 SLOWEST_RAD_S, FASTEST_RAD_S, MOST_BIAS_RAD_S = 1.0, 6.0, 1.0
@@ -147,6 +147,8 @@ def _fitted(  # noqa: PLR0917 - the grid's axes
             if used <= ROOM:
                 return plan
             size *= 0.99 * ROOM / used
+            if size < SMALLEST_RAD_S:
+                break
     return None
 
 

@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 
@@ -23,6 +24,9 @@ from sim_rig.canopen import socketcand
 from sim_rig.canopen.hub import BACKLOG_BYTES, Hub, loopback_address, main
 from sim_rig.canopen.socketcand import ProtocolError, Send, parse, take_messages
 from sim_rig.errors import RigSettingsError, SimRigError
+
+AWAY_S = 0.1
+"""How long the hub leaves a frame unread."""
 
 frames = st.builds(
     Send,
@@ -224,6 +228,37 @@ def test_every_listener_sees_the_same_stamp_and_stamps_never_fall(connect: Conne
     assert [f.arbitration_id for f in first] == list(range(50))
     stamps = [f.timestamp for f in first]
     assert stamps == [f.timestamp for f in second] == sorted(stamps)
+
+
+def test_a_frame_is_stamped_when_it_came_however_late_the_hub_has_its_turn(
+    hub: Hub, connect: Connect
+) -> None:
+    sender, listener = connect(), connect()
+    sender.say("< send 001 0  >")
+    at_once_s = listener.frame().timestamp
+    sent_s = time.time()
+    sender.say("< send 002 0  >")
+    with closing(Hub()) as elsewhere:
+        elsewhere.step(AWAY_S)
+    read_s = time.time()
+    stamp_s = listener.frame().timestamp
+    assert read_s - sent_s >= AWAY_S
+    assert at_once_s <= stamp_s
+    assert abs(stamp_s - sent_s) < 0.5 * AWAY_S, "the kernel had it at once"
+
+
+def test_a_clock_that_was_set_while_a_frame_lay_unread_stamps_it_as_read(
+    connect: Connect, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sender, listener = connect(), connect()
+    for hours in (-1.0, 1.0):
+        before_s = time.time()
+        set_ns = time.time_ns() + round(hours * 3600e9)
+        with monkeypatch.context() as patched:
+            patched.setattr("sim_rig.canopen.arrival.time.time_ns", lambda now=set_ns: now)
+            sender.say("< send 003 0  >")
+            stamp_s = listener.frame().timestamp
+        assert abs(stamp_s - before_s) < 1.0
 
 
 def test_a_stream_of_single_bytes_is_a_stream(connect: Connect) -> None:

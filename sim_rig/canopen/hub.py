@@ -1,8 +1,9 @@
 """A CAN bus in a TCP port: a hub that speaks socketcand's raw mode on loopback.
 
 Every client that opened the same channel hears every frame of the others, in one order, each
-stamped once with the microsecond in which the hub took it. A client never hears itself. Who
-does not read is dropped; what is malformed is answered and forgotten.
+stamped once with the microsecond in which the kernel had it, however late the hub has its turn. A
+client never hears itself. Who does not read is dropped; what is malformed is answered and
+forgotten.
 
 Runs as a process of its own, `python -m sim_rig.canopen.hub --port 0`, and prints its address as
 one line of JSON.
@@ -22,6 +23,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from sim_rig.canopen import socketcand
+from sim_rig.canopen.arrival import note_arrivals, receive
 from sim_rig.errors import RigSettingsError, SimRigError
 from sim_rig.realtime import end_with_parent, run_in_real_time
 
@@ -71,6 +73,7 @@ class Hub:
         address = loopback_address(host)
         self._clients: dict[int, _Client] = {}
         self._now_us = wall_clock_us()
+        self._stamp_us = 0  # of the last frame: no stamp is of before it
         self._selector = selectors.DefaultSelector()
         self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -128,6 +131,7 @@ class Hub:
             sock, _ = self._listener.accept()
             sock.setblocking(False)
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            note_arrivals(sock)
             client = _Client(sock)
             self._clients[sock.fileno()] = client
             self._selector.register(sock, selectors.EVENT_READ)
@@ -140,15 +144,16 @@ class Hub:
 
     def _read(self, client: _Client) -> None:
         try:
-            chunk = client.sock.recv(65536)
+            chunk, unread_ns = receive(client.sock, 65536)
             client.sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
         except BlockingIOError:
             return
         except OSError:
-            chunk = b""
+            chunk, unread_ns = b"", 0
         if not chunk:
             self._drop(client)
             return
+        self._stamp_us = max(self._stamp_us, self._now_us() - unread_ns // 1000)
         client.inbox += chunk
         heard: set[_Client] = set()
         for message in socketcand.take_messages(client.inbox):
@@ -179,7 +184,7 @@ class Hub:
                 self._say(client, b"< echo >")
 
     def _broadcast(self, sender: _Client, frame: socketcand.Send, heard: set[_Client]) -> None:
-        line = socketcand.frame_message(frame, self._now_us())
+        line = socketcand.frame_message(frame, self._stamp_us)
         for client in self._clients.values():
             if client.raw and client is not sender and client.channel == sender.channel:
                 client.outbox += line

@@ -7,10 +7,10 @@ import pytest
 
 from servo_bench.diagnosis.comparison import Comparison, compare
 from servo_bench.diagnosis.evidence import SCALES, block_z
-from servo_bench.diagnosis.hygiene import heard, lattice, lost_commands
+from servo_bench.diagnosis.hygiene import heard, lattice, lost_commands, wild_samples
 from servo_bench.diagnosis.orders import motor_lines, torque_waves
 from sim_rig.model import Model
-from tests.fit_recordings import NOMINAL, recorded, with_channels
+from tests.fit_recordings import NOMINAL, nominal_with, recorded, with_channels
 
 MODEL = Model(NOMINAL)
 SLOTS = 900
@@ -36,6 +36,23 @@ def test_lost_commands_are_found_to_the_slot_and_put_right(seed: int) -> None:
 
 def test_nothing_is_lost_where_nothing_was() -> None:
     assert lost_commands(compared(MODEL, 13), MODEL).rows == ()
+
+
+@pytest.mark.parametrize("effect", ["current_limit", "command_slew", "transport_delay"])
+def test_what_slows_every_reversal_has_lost_no_command(effect: str) -> None:
+    hidden = {
+        "current_limit": {"limit_per_a": 0.5},
+        "command_slew": {"slowness_s2_per_rad": 1.5e-3},
+        "transport_delay": {"delay_s": 7.5e-3},
+    }
+    slowed = compared(MODEL.with_effect(effect, **hidden[effect]), 17)
+    assert lost_commands(slowed, MODEL).rows == ()
+
+
+def test_a_rigid_shaft_in_counts_has_no_wild_samples() -> None:
+    rigid = Model(nominal_with(backlash_gap_rad=0.0))
+    seen = recorded(rigid.with_effect("current_limit", limit_per_a=0.6), 18, noise_counts=0.2)
+    assert wild_samples(compare(seen, rigid, scales=SCALES), rigid, 0.0) == 0
 
 
 def test_a_coarse_angle_is_measured_by_its_lattice() -> None:

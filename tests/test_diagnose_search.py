@@ -12,7 +12,7 @@ from servo_bench.diagnosis.rounds import play_round
 from servo_bench.diagnosis.seeking import Found, roam, seek, settle
 from servo_bench.diagnosis.unknowns import Unknown, nuisances
 from sim_rig.model import Model
-from tests.fit_recordings import NOMINAL, recorded
+from tests.fit_recordings import NOMINAL, nominal_with, recorded, with_channels
 
 MODEL = Model(NOMINAL)
 COGGING_NM, ORDER = 0.03, 12.0
@@ -181,6 +181,41 @@ def test_a_strong_cause_is_named_alone_with_all_its_numbers(
             else value / hidden[name] - 1.0
         )
         assert abs(off) < 0.1, (name, value, hidden[name])
+
+
+LIMITED = {"limit_per_a": 0.45}
+WEIGHTED = {"torque_nm": 0.02, "phase_rad": 0.7}
+HEAVY = {"compliance_rad_per_nm": 2e-3, "load_inertia_kg_m2": 1e-5}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("times", [0.03, 1.0, 20.0])
+@pytest.mark.parametrize(
+    ("effect", "hidden", "power", "beside"),
+    [("current_limit", LIMITED, -1, {}), ("gravity_imbalance", WEIGHTED, 1, {"contact": HEAVY})],
+)
+def test_a_rig_of_another_size_gets_the_same_verdict(
+    effect: str,
+    hidden: dict[str, float],
+    power: int,
+    beside: dict[str, dict[str, float]],
+    times: float,
+) -> None:
+    """All inertias, currents and torques so many times as large: the angles stay as they are."""
+    truth = MODEL
+    for name, table in beside.items():
+        truth = truth.with_effect(name, **table)
+    as_it_is = recorded(truth.with_effect(effect, **hidden), 31, slots=SLOTS)
+    seen = with_channels(as_it_is, motor_torque_nm=times * np.array(as_it_is["motor_torque_nm"]))
+    gains = ("inertia_kg_m2", "proportional_gain_a_s_per_rad", "integral_gain_a_per_rad")
+    model = Model(nominal_with(**dict.fromkeys(gains, times)))
+    only = (effect, *beside, "anti_windup", "coulomb", "missed_samples", "torque_constant_droop")
+    verdict = verdict_of(find_causes([seen], model, only=only))
+    assert verdict.names[0] == effect, verdict.sentence
+    assert set(verdict.names) <= {effect, *beside}
+    strength = next(iter(hidden))
+    found = verdict.causes[0].parameters[strength].value
+    assert found * times**-power == pytest.approx(hidden[strength], rel=0.1)
 
 
 def without(numbers: dict[str, object], names: set[str]) -> dict[str, object]:

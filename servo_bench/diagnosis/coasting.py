@@ -10,6 +10,7 @@ import numpy as np
 
 from servo_bench.diagnosis.evidence import Evidence
 from servo_bench.diagnosis.gate import misfit
+from servo_bench.diagnosis.hypotheses import yielding
 from servo_bench.diagnosis.seeking import Found, seek
 from servo_bench.diagnosis.unknowns import Unknown
 from sim_rig.errors import EffectError
@@ -52,7 +53,7 @@ def coasting(model: Model, slowed_rad_s2: float) -> Model:
     inertia = LIGHT * model.nominal.inertia_kg_m2
     model = model.with_effect(
         "contact",
-        compliance_rad_per_nm=FACE_RAD_PER_NM,
+        compliance_rad_per_nm=FACE_RAD_PER_NM * yielding(model.nominal.inertia_kg_m2),
         load_inertia_kg_m2=inertia,
         damping_s=FACE_S,
     )
@@ -75,9 +76,10 @@ def slowing_rad_s2(model: Model) -> float:
 def _own(model: Model) -> tuple[Unknown, ...]:
     friction = float(model.effects["load_friction"].torque_nm)
     most = 10.0 * max(SLOWED_RAD_S2) * LIGHT * model.nominal.inertia_kg_m2
+    face = FACE_RAD_PER_NM * yielding(model.nominal.inertia_kg_m2)
     return (
         Unknown("load_friction", "torque_nm", 0.0, most, step=0.3 * friction),
-        Unknown("contact", "compliance_rad_per_nm", 1e-4, 0.05, step=0.4 * FACE_RAD_PER_NM),
+        Unknown("contact", "compliance_rad_per_nm", 0.02 * face, 10.0 * face, step=0.4 * face),
         Unknown("contact", "damping_s", 0.0, 2e-3, step=FACE_S),
     )
 

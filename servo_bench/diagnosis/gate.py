@@ -11,7 +11,7 @@ What a simulation may miss and still be right is in `allowance`.
 import numpy as np
 
 from servo_bench.diagnosis.evidence import Errors, Evidence
-from servo_bench.diagnosis.hypotheses import Scales
+from servo_bench.diagnosis.hypotheses import SPRINGS, Scales
 from servo_bench.diagnosis.rounds import Contender
 from servo_bench.diagnosis.rows import Array
 from sim_rig.effects import find_effect
@@ -64,7 +64,7 @@ def material_sizes(s: Scales) -> dict[str, float]:
     }
 
 
-SPRINGS, GIVE, NOTED = frozenset({"contact", "coupling_compliance"}), 0.1, 0.5
+GIVE, NOTED = 0.1, 0.5
 """Every shaft and face gives way: worth a name where that takes so much of the held-out cost, and
 where a simulation without it has so much of the misfit that a right one may have."""
 

@@ -4,14 +4,15 @@ A command that the drive never got (the one before was held) leaves the response
 
     e(t) = -(c_k - c_{k-1}) h(t - t_k),      h: response of the angle's increments to a chip of one,
 
-and is found chip by chip with a matched filter on the base's error. A coarse angle lies on a
-lattice of its quantum, whatever moves. Both are exact statements about data; neither is a fit.
+and is found chip by chip with a matched filter on the base's error: whole chips, and few others. A
+coarse angle lies on a lattice of its quantum, whatever moves. Both are exact statements about data;
+neither is a fit.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from servo_bench.diagnosis.comparison import Comparison
 from servo_bench.diagnosis.rows import Array
@@ -19,14 +20,17 @@ from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 
 RESPONSE_ROWS = 12
-SURE = 0.35
+SURE = 0.2
 """How far from a whole chip the estimate of a lost one may be."""
 WILD = 12.0
 """Robust deviations, beyond one and a half gaps, of a sample that is wrong alone."""
-LEFT = 0.2
+LEFT = 0.1
 """Of the error's energy over the response, after the lost chip is taken out."""
 CLEAR = 8.0
 """A lost chip's response over its own scatter."""
+MOST = 0.5
+"""Of the chips that stand in the error, the share that is whole ones where commands were lost. What
+limits or delays a reversal leaves chips of every size, and some are whole by chance."""
 FINEST_QUANTUM_RAD, COARSEST_QUANTUM_RAD = 1.5e-4, 3e-3
 LATTICE, ABOUT_BINS = 5.0, 801
 """Mean of exp(2 pi j y / q) over its own rms at neighbouring q, which chance, and chips of equal
@@ -81,7 +85,15 @@ def lost_commands(comparison: Comparison, model: Model) -> LostCommands:
     clear = np.abs(jumps[usable]) * np.sqrt(energy) > CLEAR * sigma
     lost = usable[(np.abs(share - 1.0) < SURE) & clear]
     lost = np.array([k for k in lost if _alone(error, response, -jumps[k], int(k))], np.intp)
+    if lost.size <= MOST * _events(amount * np.sqrt(energy), CLEAR * sigma):
+        lost = lost[:0]
     return LostCommands(tuple(int(piece.first + k) for k in lost), int(change.sum()))
+
+
+def _events(matched: Array, least: float) -> int:
+    """How often the error looks most like a chip, of whatever size, within a response's length."""
+    size = np.abs(matched)
+    return int(np.sum((size > least) & (size == maximum_filter1d(size, RESPONSE_ROWS + 1))))
 
 
 def _alone(error: Array, response: Array, chip: float, k: int) -> bool:
@@ -115,7 +127,8 @@ def wild_samples(comparison: Comparison, model: Model, gap_rad: float) -> int:
     if not levels or len(comparison.pieces) > 1:
         return 0
     error = comparison.errors(model)[levels[0]]
-    sigma = max(1.4826 * float(np.nanmedian(np.abs(error))), 1e-12)
+    floor = comparison.signals[levels[0]].floor
+    sigma = max(1.4826 * float(np.nanmedian(np.abs(error))), floor, 1e-12)
     beside = 0.5 * (error[:-2] + error[2:])
     steady = np.abs(error[2:] - error[:-2]) < 0.5 * np.abs(error[1:-1] - beside)
     return int(np.sum(steady & (np.abs(error[1:-1] - beside) > WILD * sigma + 1.5 * gap_rad)))

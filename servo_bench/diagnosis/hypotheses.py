@@ -17,7 +17,7 @@ import numpy as np
 
 from servo_bench.diagnosis.orders import Wave
 from servo_bench.diagnosis.unknowns import Unknown, widened
-from sim_rig.effects import catalogue, find_effect, thermal_friction
+from sim_rig.effects import catalogue, find_effect, inverter_dead_time, thermal_friction
 from sim_rig.effects.effect import Effect
 from sim_rig.model import Model, Simulated
 
@@ -36,6 +36,8 @@ HUB_SHARES, RINGING = (0.15, 0.3, 0.5), 0.03
 """Of the inertia, behind a coupling that gives way; and its damping over the critical one."""
 LOAD_SHARE = 0.04
 """Of the inertia, behind the gap of a vehicle."""
+USUAL_INERTIA_KG_M2 = 2.5e-4
+SPRINGS = frozenset({"contact", "coupling_compliance"})
 DETECTED = frozenset({"missed_samples", "quantisation"})
 """Found by looking for them in the data (`hygiene`), not by trying sizes."""
 
@@ -46,17 +48,30 @@ class Scales(NamedTuple):
     torque_nm: float
     speed_rad_s: float
     current_a: float
-    currents_a: tuple[float, float, float]
-    integral_a: tuple[float, float, float]
+    currents_a: tuple[float, ...]
+    integral_a: tuple[float, ...]
     command_rad_s: float
     jump_rad_s: float
     gap_rad: float
     inertia_kg_m2: float
+    peaks_a: tuple[float, ...] = ()
     seconds: float = 0.0
+
+    @property
+    def yielding(self) -> float:
+        """Compliance of a spring over that of one of the same pitch on a rig of a hundred watts."""
+        return yielding(self.inertia_kg_m2)
+
+
+def yielding(inertia_kg_m2: float) -> float:
+    """How much more a spring of the same pitch gives way than on a rig of a hundred watts."""
+    return USUAL_INERTIA_KG_M2 / inertia_kg_m2
 
 
 def scales_of(model: Model, commands_rad_s: np.ndarray, done: Simulated) -> Scales:
-    """From the nominal rig's own simulation. `currents_a` are high quantiles of its size."""
+    """From the nominal rig's own simulation. `currents_a` are high quantiles of its size,
+    `peaks_a` such as only the largest jumps reach.
+    """
     nominal = model.nominal
     current = np.abs(done.motor_current_a)
     wanted = commands_rad_s - done.motor_velocity_rad_s
@@ -69,6 +84,7 @@ def scales_of(model: Model, commands_rad_s: np.ndarray, done: Simulated) -> Scal
         speed_rad_s=max(float(np.sqrt(np.mean(done.motor_velocity_rad_s**2))), 1e-9),
         current_a=max(rms, 1e-9),
         currents_a=_quantiles(current, (0.98, 0.92, 0.8)),
+        peaks_a=_quantiles(current, (0.998, 0.993)),
         integral_a=_quantiles(integral, (0.98, 0.9, 0.75)),
         command_rad_s=max(float(np.abs(commands_rad_s).max()), 1e-9),
         jump_rad_s=max(float(np.sqrt(np.mean(jumps**2))) if jumps.size else 0.0, 1e-9),
@@ -78,9 +94,8 @@ def scales_of(model: Model, commands_rad_s: np.ndarray, done: Simulated) -> Scal
     )
 
 
-def _quantiles(values: np.ndarray, at: Sequence[float]) -> tuple[float, float, float]:
-    high, middle, low = (max(float(q), 1e-9) for q in np.quantile(values, at))
-    return high, middle, low
+def _quantiles(values: np.ndarray, at: Sequence[float]) -> tuple[float, ...]:
+    return tuple(max(float(q), 1e-9) for q in np.quantile(values, at))
 
 
 @dataclass(frozen=True)
@@ -142,7 +157,8 @@ class Hypothesis:
         """What a fit that starts from `trial` frees."""
         found = list(widened(self.effect, self.free, model, trial.size))
         for name in trial.beside:
-            found += widened(name, _FREE[name], model, 1.0)
+            strength = find_effect(name).strengths[0]
+            found += widened(name, _FREE[name], model, trial.beside[name][strength])
         if trial.swapped:
             found[0] = replace(found[0], carries="coulomb.torque_nm", share=trial.swapped)
         return tuple(found)
@@ -266,7 +282,7 @@ def _sizes(effect: Effect, s: Scales) -> tuple[float, ...]:
         "inertia_error": (-0.2, -0.06, 0.06, 0.2),
         "torque_constant_droop": tuple(k / s.currents_a[0] ** 2 for k in (0.05, 0.2)),
         "thermal_torque_constant": (0.05,),
-        "current_limit": tuple(1.0 / current for current in s.currents_a),
+        "current_limit": tuple(1.0 / current for current in (*s.peaks_a, *s.currents_a)),
         "integrator_clamp": tuple(k / s.integral_a[2] for k in (0.4, 0.7, 1.2, 2.2, 4.0)),
         "anti_windup": (30.0, 300.0),
         "current_loop_lag": (2e-4, 8e-4),
@@ -280,8 +296,8 @@ def _sizes(effect: Effect, s: Scales) -> tuple[float, ...]:
         "clock_skew": (-5e-5, -1e-5, 1e-5, 5e-5),
         "backlash_width": (-0.2 * gap, -0.06 * gap, 0.06 * gap, 0.2 * gap),
         "position_backlash": (0.1 * gap, 0.3 * gap),
-        "contact": (2e-3, 2e-2, 0.1),
-        "coupling_compliance": tuple(np.geomspace(1e-3, 6e-2, 24).tolist()),
+        "contact": tuple(c * s.yielding for c in (2e-3, 2e-2, 0.1)),
+        "coupling_compliance": tuple((s.yielding * np.geomspace(1e-3, 6e-2, 24)).tolist()),
         "load_friction": (0.05 * tau, 0.3 * tau),
         "load_torque": (-0.3 * tau, -0.05 * tau, 0.05 * tau, 0.3 * tau),
         "gravity_imbalance": (0.1 * tau, 0.4 * tau),
@@ -304,7 +320,7 @@ def _choices(
     """What is not sought by steps but by trying: orders, velocities, a vehicle."""
     vehicle = {
         "contact": {
-            "compliance_rad_per_nm": 2e-3,
+            "compliance_rad_per_nm": 2e-3 * s.yielding,
             "load_inertia_kg_m2": LOAD_SHARE * s.inertia_kg_m2,
         }
     }
@@ -326,9 +342,11 @@ def _choices(
     elif name == "command_deadband":
         yield from (({"offset_fraction": kind}, {}) for kind in (0.0, 1.0))
     elif name == "anti_windup":
-        yield from (({}, {"current_limit": {"limit_per_a": 1.0 / a}}) for a in s.currents_a)
+        limits_a = (*s.peaks_a, *s.currents_a)
+        yield from (({}, {"current_limit": {"limit_per_a": 1.0 / a}}) for a in limits_a)
     elif name == "inverter_dead_time":
-        yield from (({"pole_pair_count": p}, {}) for p in (2.0, 4.0, 5.0))
+        width = min(inverter_dead_time.Params().transition_a, s.current_a / 3.0)
+        yield from (({"pole_pair_count": p, "transition_a": width}, {}) for p in (2.0, 4.0, 5.0))
     elif name == "contact":
         yield from (
             ({"load_inertia_kg_m2": share * s.inertia_kg_m2}, {}) for share in (0.004, 0.015, 0.05)

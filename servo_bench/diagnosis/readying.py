@@ -16,6 +16,7 @@ from servo_bench.diagnosis.hygiene import LostCommands, heard, lost_commands
 from servo_bench.diagnosis.hypotheses import Scales, cogging_of, scales_of
 from servo_bench.diagnosis.orders import MotorLines, Wave, motor_lines, torque_waves
 from servo_bench.diagnosis.rounds import Told
+from servo_bench.diagnosis.rows import Rows
 from servo_bench.diagnosis.seeking import Found, seek
 from servo_bench.diagnosis.unknowns import Unknown, nuisances
 from servo_bench.recording.recording import Recording
@@ -23,6 +24,7 @@ from sim_rig.model import Model
 
 QUICK_ROWS = 2200
 """Rows of every recording on which candidates are tried: 18 s at 8 ms."""
+FEW = 5
 MOST_OF_IT = 0.5
 """Of the base's cost, what waves may leave to be believed at once."""
 
@@ -114,7 +116,19 @@ def _scales(quick: Evidence, model: Model) -> Scales:
     source = quick.fitted[0].source
     rows, piece = source.rows, source.pieces(quick.fitted[0].window_s)[0]
     commands = rows.channel("velocity_command_rad_s")[piece.rows]
-    return scales_of(model, commands, model.simulate(commands, rows.durations_s[piece.rows]))
+    scales = scales_of(model, commands, model.simulate(commands, rows.durations_s[piece.rows]))
+    return scales._replace(peaks_a=(*_largest_a(rows, model), *scales.peaks_a))
+
+
+def _largest_a(rows: Rows, model: Model) -> tuple[float, ...]:
+    """The largest current that came more than a few times: where it was limited, the limit."""
+    per_unit = {"motor_current_a": 1.0, "motor_torque_nm": model.nominal.torque_constant_nm_per_a}
+    for name, unit in per_unit.items():
+        if rows.has(name):
+            size = np.abs(rows.channel(name)) / unit
+            size = np.sort(size[np.isfinite(size) & (size > 0.0)])
+            return tuple(size[-FEW:][:1].tolist())
+    return ()
 
 
 def _lost(

@@ -15,13 +15,14 @@ from typing import NamedTuple
 import numpy as np
 
 from servo_bench.diagnosis.evidence import Errors, Evidence, block_z
-from servo_bench.diagnosis.hypotheses import Hypothesis
+from servo_bench.diagnosis.hypotheses import SPRINGS, Hypothesis
 from servo_bench.diagnosis.rows import Array
 from servo_bench.diagnosis.screening import Screened, screen
 from servo_bench.diagnosis.seeking import Found, seek, settle
 from servo_bench.diagnosis.unknowns import Unknown
 from servo_bench.errors import FitError
 from sim_rig.effects import find_effect
+from sim_rig.effects.effect import Port
 from sim_rig.errors import SimRigError
 from sim_rig.model import Model
 
@@ -128,9 +129,8 @@ def play_round(
     plain = _plain([one for one, _ in near])
     near += [pair for pair in ranked[3:] if pair[0].hypothesis.effect in plain]
     again = [(one, _again(quick, one, f, sigma)) for one, f in near]
-    rested = _rested(
-        quick, base, sigma, [f.model.without(one.hypothesis.effect) for one, f in again]
-    )
+    beside = [f.model.without(*_not_the_base_s(base, one)) for one, f in again]
+    rested = _rested(quick, base, sigma, beside)
     held = quick.held_out([rested.model, *(f.model for _, f in again)])
     base_costs = _all_costs(rested.errors, held[0], sigma)
     contenders = [
@@ -163,11 +163,11 @@ def _degenerate(contender: Contender) -> bool:
     return float(getattr(params, "breakaway_angle_rad", 1.0)) < SHORTEST_BRISTLE_RAD
 
 
-def _assumes(effect: str) -> tuple[int, int]:
-    """Free numbers, memory, and parameters: how much a hypothesis assumes."""
+def _assumes(effect: str) -> tuple[int, int, bool]:
+    """Memory, parameters, and a place behind the motor: how much a hypothesis assumes."""
     found = find_effect(effect)
     memory = len(found.memory._fields) if found.memory is not None else 0
-    return memory, len(found.parameters)
+    return memory, len(found.parameters), found.port is Port.LOAD_TORQUE
 
 
 def _plain(found: Sequence[Screened]) -> set[str]:
@@ -213,6 +213,16 @@ def _rested(quick: Evidence, base: Found, sigma: Array, beside: Sequence[Model])
         seek(quick, m, base.unknowns, sigma, iterations=2, first=2) for m in (cold.model, warm)
     ]
     return min(found, key=lambda f: f.cost)
+
+
+def _not_the_base_s(base: Found, one: Screened) -> set[str]:
+    """What a contender brought, and the base must do without to be compared with it.
+
+    A load with a mass of its own, which carries some, may stay: nearly every rig has it, and only
+    what acts on it is weighed. A limit that carries another effect is a cause itself.
+    """
+    carriers = _own(one) - {one.hypothesis.effect, *SPRINGS, *base.model.effects}
+    return {one.hypothesis.effect, *carriers}
 
 
 def _own(one: Screened) -> set[str]:

@@ -21,6 +21,12 @@ from servo_bench.diagnosis.free import FreeParameter, free_parameters
 from sim_rig.effects import find_effect
 from sim_rig.model import Model
 
+MASS = "load_inertia_kg_m2"
+USUAL_SHARE, LEAST_SHARE = 0.2, 1e-4
+"""Of the inertia, behind the gap or the coupling."""
+WIDE = 30.0
+"""So many times the size that is tried is sought, at most, of what has no bound of its own."""
+
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
@@ -98,27 +104,40 @@ def _band(effect: str, field: str, low: float, high: float) -> Unknown:
 
 
 def widened(effect: str, fields: Sequence[str], model: Model, size: float) -> tuple[Unknown, ...]:
-    """These parameters of an effect, free over all that has a meaning; `size` sets the steps."""
+    """These parameters of an effect, free over all that has a meaning.
+
+    `size`, that of the strength on this rig, sets the steps, and widens a range that was written
+    for a rig of a hundred watts.
+    """
     found = free_parameters(_on(model, effect), [f"{effect}.{field}" for field in fields])
-    return tuple(_wide(p, effect, size) for p in found)
+    inertia = model.nominal.inertia_kg_m2
+    return tuple(_wide(p, effect, size, inertia) for p in found)
 
 
 def _on(model: Model, effect: str) -> Model:
     """The model with the effect's sample, so that every parameter acts."""
-    return model.with_effect(effect, **dict(find_effect(effect).sample))
+    sample = dict(find_effect(effect).sample)
+    params = find_effect(effect).params(**sample)._asdict()
+    if MASS in params:
+        sample[MASS] = min(float(params[MASS]), USUAL_SHARE * model.nominal.inertia_kg_m2)
+    return model.with_effect(effect, **sample)
 
 
-def _wide(parameter: FreeParameter, effect: str, size: float) -> Unknown:
+def _wide(parameter: FreeParameter, effect: str, size: float, inertia: float) -> Unknown:
+    field = parameter.field
     if parameter.circular:
-        return Unknown(effect, parameter.field, -np.inf, np.inf, step=0.5, circular=True)
-    prior = next(p.prior for p in find_effect(effect).parameters if p.name == parameter.field)
-    low = max(prior.least, 0.0) if prior.least >= 0.0 else -10.0 * abs(prior.low)
-    if prior.above > -np.inf:
-        low = max(0.2 * prior.low, prior.above)
-    high = min(prior.most, (1.5 if prior.above > -np.inf else 10.0) * prior.high)
+        return Unknown(effect, field, -np.inf, np.inf, step=0.5, circular=True)
+    prior = next(p.prior for p in find_effect(effect).parameters if p.name == field)
+    own = WIDE * abs(size) if parameter.is_strength else 0.0
+    low = max(prior.least, 0.0) if prior.least >= 0.0 else -max(10.0 * abs(prior.low), own)
+    high = min(prior.most, max(10.0 * prior.high, own))
+    if field == MASS:
+        low, high = LEAST_SHARE * inertia, inertia
+    elif prior.above > -np.inf:
+        low, high = max(0.2 * prior.low, prior.above), min(prior.most, 1.5 * prior.high)
     step = 0.3 * size if parameter.is_strength else 0.3 * parameter.centre
     step = abs(step) or 0.1 * (prior.high - prior.low)
-    return Unknown(effect, parameter.field, max(low, prior.least), high, step=step)
+    return Unknown(effect, field, max(low, prior.least), high, step=step)
 
 
 def put_all(model: Model, unknowns: Sequence[Unknown], values: Sequence[float]) -> Model:

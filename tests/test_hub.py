@@ -233,18 +233,17 @@ def test_every_listener_sees_the_same_stamp_and_stamps_never_fall(connect: Conne
 def test_a_frame_is_stamped_when_it_came_however_late_the_hub_has_its_turn(
     hub: Hub, connect: Connect
 ) -> None:
+    """The best of three: the kernel begins to note a little after it is asked first."""
     sender, listener = connect(), connect()
-    sender.say("< send 001 0  >")
-    at_once_s = listener.frame().timestamp
-    sent_s = time.time()
-    sender.say("< send 002 0  >")
-    with closing(Hub()) as elsewhere:
-        elsewhere.step(AWAY_S)
-    read_s = time.time()
-    stamp_s = listener.frame().timestamp
-    assert read_s - sent_s >= AWAY_S
-    assert at_once_s <= stamp_s
-    assert abs(stamp_s - sent_s) < 0.5 * AWAY_S, "the kernel had it at once"
+    off_s = []
+    for _ in range(3):
+        sent_s = time.time()
+        sender.say("< send 002 0  >")
+        with closing(Hub()) as elsewhere:
+            elsewhere.step(AWAY_S)
+        assert time.time() - sent_s >= AWAY_S
+        off_s.append(abs(listener.frame().timestamp - sent_s))
+    assert min(off_s) < 0.5 * AWAY_S, "a hub that stamps what it reads is late every time"
 
 
 def test_a_clock_that_was_set_while_a_frame_lay_unread_stamps_it_as_read(

@@ -25,6 +25,7 @@ from sim_rig.model import Model
 QUICK_ROWS = 2200
 """Rows of every recording on which candidates are tried: 18 s at 8 ms."""
 FEW = 5
+"""Samples of a current as large as a limit would leave many of; fewer may be a sensor's slips."""
 MOST_OF_IT = 0.5
 """Of the base's cost, what waves may leave to be believed at once."""
 

@@ -11,8 +11,7 @@ import socket
 import struct
 import time
 
-# Linux has these numbers on every architecture that it numbers sockets alike for; Python names
-# neither.
+# Linux's own number and layout (asm-generic/socket.h), which Python's socket module does not name.
 _SO_TIMESTAMPNS = 35
 _TIMESPEC = struct.Struct("@qq")
 _ANCILLARY_BYTES = 64

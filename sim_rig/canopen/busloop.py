@@ -1,7 +1,5 @@
 """A rig on its bus: one thread that receives, answers, and keeps the rig's deadlines."""
 
-import select
-import socket
 import threading
 import time
 from collections.abc import Callable
@@ -9,6 +7,7 @@ from typing import Any
 
 import can
 
+from sim_rig.canopen.client import Outgoing, hung_up
 from sim_rig.canopen.rig import RESTING_STEP_US, Rig
 from sim_rig.errors import SimRigError
 from sim_rig.plant import Plant
@@ -67,28 +66,14 @@ def open_bus(options: BusOptions) -> can.BusABC:
         ) from error
 
 
-def hung_up(bus: can.BusABC) -> bool:
-    """Whether the hub behind a socketcand bus has closed the connection.
-
-    python-can's client reads end-of-file as "nothing yet", for ever; its socket is private.
-    """
-    sock: socket.socket | None = getattr(bus, "_SocketCanDaemonBus__socket", None)
-    if sock is None:
-        return False
-    try:
-        readable, _, _ = select.select([sock], [], [], 0)
-        return bool(readable) and not sock.recv(1, socket.MSG_PEEK)
-    except OSError:
-        return True
-
-
 class RigOnBus:
     """A rig that answers on `bus`."""
 
     def __init__(self, settings: RigSettings, plant: Plant, bus: can.BusABC) -> None:
         self._bus = bus
         self._clock = BusClock()
-        self.rig = Rig(settings, plant, self._send)
+        self._outgoing = Outgoing(bus)
+        self.rig = Rig(settings, plant, self._outgoing.send)
         self._lock = threading.Lock()  # for who looks at the machine from another thread
 
     def run(self, stop: Callable[[], bool]) -> None:
@@ -104,7 +89,7 @@ class RigOnBus:
             message = self._bus.recv(wait_us * 1e-6)
             burst = 0
             while message is not None:
-                with self._lock:
+                with self._lock, self._outgoing:
                     self._dispatch(message)
                 burst += 1
                 message = self._bus.recv(0) if burst < _BURST else None
@@ -113,7 +98,7 @@ class RigOnBus:
             # A deadline is judged when every frame that has come is heard.
             now_us = self._clock.now()
             if now_us is not None and burst < _BURST:
-                with self._lock:
+                with self._lock, self._outgoing:
                     self.rig.tick(now_us)
         except (can.CanError, OSError) as error:
             raise SimRigError(f"The rig lost its bus: {self._why(error)}.") from error
@@ -132,9 +117,6 @@ class RigOnBus:
             if time_us is not None:
                 self.rig.machine.advance_to(time_us)
             return self.rig.encoder.sensor.counts(self.rig.machine.outputs.load_angle_rad)
-
-    def _send(self, can_id: int, data: bytes) -> None:
-        self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
     def _dispatch(self, message: can.Message) -> None:
         time_us = self._clock.stamp(message.timestamp)

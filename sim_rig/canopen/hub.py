@@ -64,6 +64,7 @@ class _Client:
     channel: str | None = None
     raw: bool = False
     silent_until_s: float = 0.0
+    events: int = selectors.EVENT_READ
 
 
 class Hub:
@@ -134,7 +135,7 @@ class Hub:
             note_arrivals(sock)
             client = _Client(sock)
             self._clients[sock.fileno()] = client
-            self._selector.register(sock, selectors.EVENT_READ)
+            self._selector.register(sock, client.events)
             self._say(client, socketcand.HI)
 
     def _drop(self, client: _Client) -> None:
@@ -222,8 +223,9 @@ class Hub:
         wanted = selectors.EVENT_READ
         if client.outbox and not client.silent_until_s:
             wanted |= selectors.EVENT_WRITE
-        if self._selector.get_key(client.sock).events != wanted:
+        if client.events != wanted:
             self._selector.modify(client.sock, wanted)
+            client.events = wanted
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -18,6 +18,7 @@ HI = b"< hi >"
 OK = b"< ok >"
 
 _CHANNEL = re.compile(r"[A-Za-z0-9_.-]{1,32}")
+_HEX_DIGITS = frozenset("0123456789abcdefABCDEF")
 _SEND_WORDS = 3
 
 
@@ -93,7 +94,7 @@ def parse(message: bytes) -> Message:
 
 
 def _hex(word: str) -> int:
-    if not all(c in "0123456789abcdefABCDEF" for c in word):
+    if not _HEX_DIGITS.issuperset(word):
         raise ProtocolError("send wants hexadecimal numbers")
     return int(word, 16)
 

@@ -250,6 +250,32 @@ def test_what_goes_wrong_is_said_and_nothing_is_left_enabled(
     assert all(data[2:] == bytes(4) for cob_id, data in rig.world.sent if cob_id == 0x201)
 
 
+@pytest.mark.parametrize("away_ms", [30.0, 120.0])
+def test_a_computer_that_is_away_at_first_is_no_slow_drive(rig: FakeRig, away_ms: float) -> None:
+    """A machine that others share is taken away for 10 to 40 ms: every answer then is late."""
+    end_ns: list[int] = []
+
+    def be_away(_: int) -> None:
+        end_ns[:] = end_ns or [rig.world.now_ns + round(away_ms * 1e6)]
+        if rig.world.now_ns < end_ns[0]:
+            rig.world.now_ns += 2_500_000
+
+    rig.world.at_sync = be_away
+    with rig.axis(rig.settings(period_s=0.001)):
+        assert rig.drive.enabled
+    assert rig.world.now_ns > end_ns[0]
+
+
+def test_a_drive_that_is_always_late_is_refused_after_a_while(rig: FakeRig) -> None:
+    begun_ns = rig.world.now_ns
+    rig.world.at_sync = lambda _: setattr(rig.world, "now_ns", rig.world.now_ns + 2_500_000)
+    words = r"answers SYNC after 2\.5\d ms in the middle of 1\d\d, and the period is 1 ms"
+    with pytest.raises(WireError, match=words), rig.axis(rig.settings(period_s=0.001)):
+        pytest.fail("its answers would pile up")
+    assert not rig.drive.enabled
+    assert rig.world.now_ns - begun_ns < 2e9
+
+
 def test_a_fault_that_one_reset_clears_is_reset_once_and_said(rig: FakeRig) -> None:
     rig.drive.fault = 0x8130
     rig.drive[0x603F, 0], rig.drive[0x6041, 0] = 0x8130, 0x0218

@@ -2,8 +2,8 @@
 
 The reference wakes half a period after the loop, on the same CPU, so that a hole in which the
 machine was stolen hits both. A *stolen window* is where the reference itself woke more than
-`STOLEN_S` late; cycles within one period of it are left out of the clean figures, and a skipped
-slot there is explained. On CAN a listener on the bus adds what a third party sees.
+`reference.STOLEN_S` late; cycles within one period of it are left out of the clean figures, and a
+skipped slot there is explained. On CAN a listener on the bus adds what a third party sees.
 """
 
 import json
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from servo_bench.benchmark.listener import spread_us
 from servo_bench.benchmark.memory import MemoryWatch
-from servo_bench.benchmark.reference import running_reference
+from servo_bench.benchmark.reference import outside, running_reference, stolen_windows
 from servo_bench.clock import NS_PER_S, monotonic_ns
 from servo_bench.excitation.experiment import Experiment, MSequence, RandomBinary
 from servo_bench.recording.mcap_file import load
@@ -31,7 +31,6 @@ from servo_bench.rig import load_rig
 from servo_bench.run.session import Status, run
 from sim_rig.process import spawn
 
-STOLEN_S = 0.0005
 AMPLITUDE_RAD_S = 0.5
 SETUP_S = 3.0
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
@@ -99,7 +98,7 @@ def measure(
     lateness_s = np.abs(loop["lateness_s"])  # a drive's SYNC may be early
     during = (due_ns >= asked_ns[0]) & (due_ns <= asked_ns[-1])  # without set-up and tear-down
     due_ns, late_ns = due_ns[during], late_ns[during]
-    stolen = _stolen_windows(due_ns, late_ns)
+    stolen = stolen_windows(due_ns, late_ns)
     return {
         "period_s": period_s,
         "seconds": seconds,
@@ -189,26 +188,13 @@ def _echo_figures(echoed_s: list[float]) -> dict[str, Any]:
     return {"pty_echo": {**spread_us(came_s), "longer_than_a_period": lost}}
 
 
-def _stolen_windows(due_ns: NDArray[np.int64], late_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Begin and end in ns of each hole, shape (holes, 2)."""
-    hit = late_ns > STOLEN_S * NS_PER_S
-    return np.column_stack([due_ns[hit], due_ns[hit] + late_ns[hit]])
-
-
-def _clean(at_ns: NDArray[np.int64], stolen: NDArray[np.int64], margin_ns: int) -> NDArray[np.bool]:
-    clean = np.ones(at_ns.size, np.bool)
-    for begin_ns, end_ns in stolen:
-        clean &= (at_ns < begin_ns - margin_ns) | (at_ns > end_ns + margin_ns)
-    return clean
-
-
 def _figures(
     at_ns: NDArray[np.int64],
     lateness_s: NDArray[np.float64],
     stolen: NDArray[np.int64],
     period_ns: int,
 ) -> dict[str, dict[str, float]]:
-    clean = _clean(at_ns, stolen, period_ns)
+    clean = outside(at_ns, stolen, period_ns)
     return {
         "raw": spread_us(lateness_s.tolist()),
         "clean": spread_us(lateness_s[clean].tolist()),
@@ -223,8 +209,8 @@ def _ratio(
 ) -> dict[str, float]:
     """Clean lateness of the loop over that of the reference."""
     due_ns, late_ns = reference
-    loop_s = loop[1][_clean(loop[0], stolen, period_ns)]
-    reference_ns = late_ns[_clean(due_ns, stolen, period_ns)]
+    loop_s = loop[1][outside(loop[0], stolen, period_ns)]
+    reference_ns = late_ns[outside(due_ns, stolen, period_ns)]
     return {
         name: float(np.percentile(loop_s * NS_PER_S, mark) / np.percentile(reference_ns, mark))
         for name, mark in (("p50", 50.0), ("p99", 99.0))

@@ -4,7 +4,9 @@ Everything is measured from outside, on a software rig with a bus of its own: th
 process, the pages are processes, the wire is listened to by a bystander.
 
     lateness     the same schedule with the daemon, three pages, and analyses one after another
-                 beside it, and alone (a plain run): in turn, so that both see the same machine
+                 beside it, and alone (a plain run): in turn, so that both see the same machine. A C
+                 loop on every CPU tells when the machine itself was away: the ratio is of the rows
+                 outside of these holes
     sample       from its SYNC to a page's socket (a browser draws it within its next frame)
     stop         from the request to the first frame on the wire that commands zero or quick stop
     start        from exec to the first answer of /api/health, in turn with a process that only
@@ -28,9 +30,9 @@ from typing import Any, NamedTuple
 
 import can
 import numpy as np
-from numpy.typing import NDArray
 from websockets.sync.client import connect
 
+from servo_bench.benchmark.lateness import Lateness, period_ns, references_beside
 from servo_bench.benchmark.listener import spread_us
 from servo_bench.clock import NS_PER_S, monotonic_ns
 from servo_bench.errors import BenchError
@@ -252,27 +254,32 @@ def _lateness(bench: Path, rig: RigConfig, period_s: float, effort: Effort) -> d
     """Lateness with everything beside it and alone, and the samples' way to the pages."""
     name = f"{period_s * 1e3:g}ms"
     experiment = _experiment(period_s, effort.seconds)
-    alone: list[NDArray[np.float64]] = []
-    beside: list[NDArray[np.float64]] = []
+    alone: list[Lateness] = []
+    beside: list[Lateness] = []
     ways_s: list[float] = []
     missed = {"alone": 0, "beside": 0}
     jobs = 0
     for pair in range(effort.pairs):
         out = bench.parent / "recordings" / f"alone-{name}-{pair}.mcap"
         out.parent.mkdir(exist_ok=True)
-        missed["alone"] += run(experiment, rig, out).missed
-        alone.append(load(out)["lateness_s"])
-        kept, ways, skipped, analyses = _watched(bench, name, experiment.schedule().duration_s)
+        with references_beside(experiment) as references:
+            missed["alone"] += run(experiment, rig, out).missed
+            alone.append(Lateness.of(load(out), references, period_ns(experiment)))
+        kept, ways, skipped, analyses = _watched(bench, name, experiment)
         beside.append(kept)
         ways_s += ways
         missed["beside"] += skipped
         jobs += analyses
-    loose, busy = np.concatenate(alone), np.concatenate(beside)
+    loose, busy = Lateness.together(alone), Lateness.together(beside)
     return {
-        "alone": spread_us(loose.tolist()),
-        "beside": spread_us(busy.tolist()),
-        "ratio_p50": float(np.percentile(busy, 50) / np.percentile(loose, 50)),
-        "ratio_p99": float(np.percentile(busy, 99) / np.percentile(loose, 99)),
+        "alone": loose.figures(),
+        "beside": busy.figures(),
+        **{
+            f"ratio_p{mark}": float(
+                np.percentile(busy.clean_s, mark) / np.percentile(loose.clean_s, mark)
+            )
+            for mark in (50, 99)
+        },
         "missed": missed,
         "analyses_beside": jobs,
         "sample_to_page_s": _spread_s(ways_s),
@@ -280,9 +287,10 @@ def _lateness(bench: Path, rig: RigConfig, period_s: float, effort: Effort) -> d
 
 
 def _watched(
-    bench: Path, name: str, duration_s: float
-) -> tuple[NDArray[np.float64], list[float], int, int]:
+    bench: Path, name: str, experiment: Experiment
+) -> tuple[Lateness, list[float], int, int]:
     """A run with pages and analyses beside it: lateness, the samples' ways, missed, analyses."""
+    duration_s = experiment.schedule().duration_s
     with _daemon(bench) as client, ExitStack() as stack:
         (reference, *_) = client.ask("runs?q=alone")["runs"]
         watch_s = duration_s + 4.0
@@ -298,11 +306,13 @@ def _watched(
             )
             for _ in range(PAGES)
         ]
+        references = stack.enter_context(references_beside(experiment))
         run_id = client.play(name)
         analyses = _analyse_until_over(client, reference["id"], run_id, duration_s + PATIENCE_S)
         seen = [json.loads(page.communicate()[0]) for page in pages]
         recording = load(bench.parent / "recordings" / client.ask(f"runs/{run_id}")["file"])
         missed = int(client.ask(f"runs/{run_id}")["missed"])
+        kept = Lateness.of(recording, references, period_ns(experiment))
     start_ns = int(recording["asked_ns"][0])
     ways_s = [
         (arrived_ns - start_ns) / NS_PER_S - time_s
@@ -310,7 +320,7 @@ def _watched(
         for arrived_ns, times_s in zip(page["arrived_ns"], page["t_s"], strict=True)
         for time_s in times_s
     ]
-    return recording["lateness_s"], ways_s, missed, analyses
+    return kept, ways_s, missed, analyses
 
 
 def _analyse_until_over(client: _Client, reference: str, run_id: str, patience_s: float) -> int:

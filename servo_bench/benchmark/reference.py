@@ -5,15 +5,18 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_bench.clock import NS_PER_S, monotonic_ns
 from servo_bench.errors import BenchError
 
 SOURCE = Path(__file__).with_name("cref.c")
+STOLEN_S = 0.0005
+"""A C loop that is later than this had its processor taken away."""
 
 
 class Reference:
@@ -55,3 +58,39 @@ def running_reference(
         finally:
             process.kill()
             process.wait()
+
+
+@contextmanager
+def references_on_every_cpu(
+    *, priority: int, period_ns: int, seconds: float
+) -> Iterator[tuple[Reference, ...]]:
+    """One on each CPU that this process may use, from now on: for loops that are not pinned."""
+    with ExitStack() as stack:
+        yield tuple(
+            stack.enter_context(
+                running_reference(
+                    priority=priority,
+                    cpu=cpu,
+                    start_ns=monotonic_ns() + period_ns,
+                    period_ns=period_ns,
+                    cycles=round(seconds * NS_PER_S / period_ns),
+                )
+            )
+            for cpu in sorted(os.sched_getaffinity(0))
+        )
+
+
+def stolen_windows(due_ns: NDArray[np.int64], late_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Begin and end in ns of each hole, shape (holes, 2)."""
+    hit = late_ns > STOLEN_S * NS_PER_S
+    return np.column_stack([due_ns[hit], due_ns[hit] + late_ns[hit]])
+
+
+def outside(
+    at_ns: NDArray[np.int64], stolen: NDArray[np.int64], margin_ns: int
+) -> NDArray[np.bool]:
+    """Which times are further than `margin_ns` from every hole."""
+    clean = np.ones(at_ns.size, np.bool)
+    for begin_ns, end_ns in stolen:
+        clean &= (at_ns < begin_ns - margin_ns) | (at_ns > end_ns + margin_ns)
+    return clean

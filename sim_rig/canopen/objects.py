@@ -62,14 +62,17 @@ class ObjectStore:
 
     def __getitem__(self, address: Address) -> int:
         value = self._values.get(address)
-        return self._default(address) if value is None else value
+        if value is None:
+            value = self._values[address] = self._default(address)  # asked for in every cycle
+        return value
 
     def __setitem__(self, address: Address, value: int) -> None:
         self._values[address] = value
 
     def set_default(self, address: Address, value: int) -> None:
-        """A default of this very device, where it differs from its EDS."""
+        """A default of this very device, where it differs from its EDS; from now on its value."""
         self._device_defaults[address] = value
+        self._values.pop(address, None)
 
     def on_write(self, address: Address, hook: Hook) -> None:
         """Have `hook` called before the master's value is stored, one hook for an address."""
@@ -134,6 +137,4 @@ class ObjectStore:
         if address in self._device_defaults:
             return self._device_defaults[address]
         default = self.variable(*address).default
-        value = default if isinstance(default, int) else 0
-        self._device_defaults[address] = value  # looked up in every cycle
-        return value
+        return default if isinstance(default, int) else 0

@@ -171,9 +171,7 @@ class Slave:
     def tick(self, now_us: int) -> None:
         """Do what is due by now: heartbeats, the master's silence, event timers."""
         self._time_us = now_us
-        if self._heartbeat_due_us is not None and now_us >= self._heartbeat_due_us:
-            self._send(HEARTBEAT + self.node_id, bytes([self.nmt]))
-            self._heartbeat_due_us = self._next(self._heartbeat_due_us, self._beat_us, now_us)
+        self.beat(now_us)
         silent = self._master_due_us is not None and now_us >= self._master_due_us
         if silent:
             self._master_due_us = None
@@ -186,6 +184,12 @@ class Slave:
             self._send(self._producer.cob_id, b"")
         if self.nmt is NmtState.OPERATIONAL:
             self._transmit_events(now_us)
+
+    def beat(self, now_us: int) -> None:
+        """Send the heartbeat if it is due: it waits for nothing that the bus may bring."""
+        if self._heartbeat_due_us is not None and now_us >= self._heartbeat_due_us:
+            self._send(HEARTBEAT + self.node_id, bytes([self.nmt]))
+            self._heartbeat_due_us = self._next(self._heartbeat_due_us, self._beat_us, now_us)
 
     def due_us(self) -> int | None:
         """When `tick` has to be called next; None while nothing is planned."""

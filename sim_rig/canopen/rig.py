@@ -122,6 +122,11 @@ class Rig:
         for slave in self._slaves:
             slave.tick(now_us)
 
+    def beat(self, now_us: int) -> None:
+        """Send the heartbeats that are due, whatever else waits."""
+        for slave in self._slaves:
+            slave.beat(now_us)
+
     def wait_us(self, now_us: int) -> int:
         """How long from now `tick` can wait, if no frame comes."""
         moving = self._is_quiet(now_us) and self.drive.moves

@@ -130,9 +130,14 @@ def _write_bench(folder: Path, rig: RigConfig, effort: Effort) -> Path:
     bench = folder / "bench.toml"
     bench.write_text(
         'rig = "rig.toml"\nexperiments = ["[128ls]*.toml"]\n[network]\nport = 0\n'
-        "requests_per_second = 10000.0\n[run]\nanalyse = false\n"
+        f"requests_per_second = 10000.0\n[run]\nanalyse = false\ncpu = {_cpu()}\n"
     )
     return bench
+
+
+def _cpu() -> int:
+    """The last one: the loop keeps to it, as in `benchmark cycle`, and the rig to the others."""
+    return max(os.sched_getaffinity(0))
 
 
 def _toml(table: dict[str, Any], prefix: str = "") -> str:
@@ -263,7 +268,7 @@ def _lateness(bench: Path, rig: RigConfig, period_s: float, effort: Effort) -> d
         out = bench.parent / "recordings" / f"alone-{name}-{pair}.mcap"
         out.parent.mkdir(exist_ok=True)
         with references_beside(experiment) as references:
-            missed["alone"] += run(experiment, rig, out).missed
+            missed["alone"] += run(experiment, rig, out, cpu=_cpu()).missed
             alone.append(Lateness.of(load(out), references, period_ns(experiment)))
         kept, ways, skipped, analyses = _watched(bench, name, experiment)
         beside.append(kept)

@@ -1,4 +1,4 @@
-"""A bus loop's lateness with the machine's own holes told apart, where nobody pinned the loop."""
+"""A bus loop's lateness with the machine's own holes told apart."""
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
@@ -60,9 +60,13 @@ class Lateness(NamedTuple):
 def references_beside(
     experiment: Experiment,
 ) -> AbstractContextManager[tuple[Reference, ...]]:
-    """C loops on every CPU for as long as a run of it, beginning soon, will take."""
+    """C loops on every CPU for as long as a run of it, beginning soon, will take.
+
+    They go before the loop: one that waits for a long turn of the loop would call that a hole of
+    the machine, and excuse the loop by itself.
+    """
     return references_on_every_cpu(
-        priority=PRIORITY,
+        priority=PRIORITY + 1,
         period_ns=period_ns(experiment),
         seconds=experiment.schedule().duration_s + BEGINNING_S,
     )

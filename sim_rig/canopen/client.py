@@ -11,7 +11,7 @@ from typing import Self
 
 import can
 
-_CORK: int | None = getattr(socket, "TCP_CORK", None)  # Linux
+_CORK: int = getattr(socket, "TCP_CORK", 0)  # Linux
 
 
 def _socket_of(bus: can.BusABC) -> socket.socket | None:
@@ -44,19 +44,19 @@ class Outgoing:
 
     def __init__(self, bus: can.BusABC) -> None:
         self._bus = bus
-        self._sock = None if _CORK is None else _socket_of(bus)
+        self._sock = _socket_of(bus) if _CORK else None
         self._within = self._held = False
 
     def send(self, can_id: int, data: bytes) -> None:
         """One frame. Raises what `can.Bus.send` raises, and OSError where the hub is gone."""
-        if self._within and not self._held and self._sock is not None:
+        if self._within and not self._held:
             self._hold(held=True)
         self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
     def _hold(self, *, held: bool) -> None:
-        assert self._sock is not None and _CORK is not None  # noqa: S101, PT018
-        self._sock.setsockopt(socket.IPPROTO_TCP, _CORK, held)
-        self._held = held
+        if self._sock is not None:
+            self._sock.setsockopt(socket.IPPROTO_TCP, _CORK, held)
+            self._held = held
 
     def __enter__(self) -> Self:
         self._within = True

@@ -120,6 +120,12 @@ def test_random_input_cannot_identify() -> None:
         experiment_from_table(_experiment(KINDS[2], KINDS[2]), "test")
 
 
+@pytest.mark.parametrize("kind", KINDS[2:4], ids=lambda kind: str(kind["kind"]))
+def test_a_negative_seed_is_refused(kind: dict[str, object]) -> None:
+    with pytest.raises(ConfigError, match=r"validation\..*seed.* got -1"):
+        experiment_from_table(_experiment(KINDS[0], {**kind, "seed": -1}), "test")
+
+
 def _experiment(
     identification: dict[str, object], validation: dict[str, object]
 ) -> dict[str, object]:

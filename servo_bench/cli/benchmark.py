@@ -87,7 +87,7 @@ def experiment(
 
 @app.command()
 def kernels(
-    *, seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 1, json: Json = None
+    *, seed: Annotated[int, typer.Option(min=0, help="Seed of the draws.")] = 1, json: Json = None
 ) -> None:
     """Time of extraction and prediction, and the paper's figures."""
     refuse_existing(json)
@@ -96,7 +96,7 @@ def kernels(
 
 @app.command()
 def recording(
-    *, seed: Annotated[int, typer.Option(help="Seed of the rows.")] = 1, json: Json = None
+    *, seed: Annotated[int, typer.Option(min=0, help="Seed of the rows.")] = 1, json: Json = None
 ) -> None:
     """Time to read 131 s at 8 ms, beside the mcap library's own reader."""
     refuse_existing(json)
@@ -105,7 +105,9 @@ def recording(
 
 @app.command()
 def model(
-    *, seed: Annotated[int, typer.Option(help="Seed of the commands.")] = 1, json: Json = None
+    *,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the commands.")] = 1,
+    json: Json = None,
 ) -> None:
     """The simulation beside a hand-written loop, its start-up, and its step halving."""
     refuse_existing(json)
@@ -115,7 +117,7 @@ def model(
 @app.command()
 def volterra(
     *,
-    seed: Annotated[int, typer.Option(help="First seed of the noise.")] = SEEDS[0],
+    seed: Annotated[int, typer.Option(min=0, help="First seed of the noise.")] = SEEDS[0],
     seeds: Annotated[int, typer.Option(min=1, help="How many seeds.")] = len(SEEDS),
     plants: Annotated[
         str, typer.Option(help="Module of the plants to identify.")

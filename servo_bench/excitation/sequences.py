@@ -17,7 +17,7 @@ from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Discriminator, Field, PositiveFloat, PositiveInt, Tag
+from pydantic import Discriminator, Field, NonNegativeInt, PositiveFloat, PositiveInt, Tag
 
 from servo_bench.errors import ConfigError
 from servo_bench.excitation.fields import field_sequence, first_primitive
@@ -66,7 +66,7 @@ class RandomBinary(Value):
 
     kind: Literal["random-binary"]
     """Which sequence it is."""
-    seed: int
+    seed: NonNegativeInt
     """Seed of the random numbers."""
     amplitude_rad_s: PositiveFloat
     """The command's size, rad/s."""
@@ -90,7 +90,7 @@ class RandomUniform(Value):
 
     kind: Literal["random-uniform"]
     """Which sequence it is."""
-    seed: int
+    seed: NonNegativeInt
     """Seed of the random numbers."""
     amplitude_rad_s: PositiveFloat
     """The largest size of the command, rad/s."""

@@ -62,8 +62,8 @@ def _at(draw: Draw) -> int:
 def _lost_now_and_then(draw: Draw) -> tuple[str, tuple[str, ...], str]:
     frames = draw.choice(["answers", "drive-state", "drive-motion", "load", "sync"])
     some = f"count={draw.integers(1, 15)}"
-    if draw.random() < 0.5:
-        some = f"count=0 rate={draw.uniform(0.01, 0.2):.3f}"
+    if draw.random() < 0.5:  # of a hundred frames at least one, or there is nothing to name
+        some = f"count=0 rate={draw.uniform(0.1, 0.2):.3f}"
     return f"lost frames={frames} at={_at(draw)} {some}", (GOES_ON,), "answer lost"
 
 

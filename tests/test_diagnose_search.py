@@ -59,6 +59,15 @@ def test_a_search_that_is_settled_is_at_the_truth(lost: tuple[Evidence, Found]) 
     assert settled.value("cogging.torque_nm") == pytest.approx(COGGING_NM, rel=0.02)
 
 
+def test_of_a_class_that_nobody_can_tell_apart_one_is_enough() -> None:
+    rig = MODEL.with_effect("load_torque", torque_nm=0.01)
+    both = ("load_torque", "asymmetric_friction")
+    finding = find_causes([recorded(rig, 23, slots=SLOTS)], MODEL, only=both)
+    assert [n.effect for n in finding.named][:1] == ["load_torque"]
+    asked = [s.hypothesis.effect for r in finding.rounds[1:] for s in r.screened]
+    assert not set(both) & set(asked)
+
+
 def test_a_spring_is_no_cause_where_nothing_is_wrong() -> None:
     assert not is_noted("coupling_compliance", np.array([0.33, 0.1]))
     assert is_noted("coupling_compliance", np.array([0.1, 0.91]))

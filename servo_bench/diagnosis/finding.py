@@ -18,8 +18,10 @@ import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+from servo_bench.diagnosis.classes import class_of
 from servo_bench.diagnosis.coasting import is_coasting, with_coasting
 from servo_bench.diagnosis.comparison import Choice
+from servo_bench.diagnosis.crossing import crossing_s
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.gate import is_noted, material_sizes, misfit, passes
 from servo_bench.diagnosis.hygiene import Lattice, LostCommands, lattice, wild_samples
@@ -117,6 +119,7 @@ def find_causes(
         waves=waves,
         ripple_orders=[whole_order(line.order, turns) for line in motor.ripple] or USUAL,
         load_orders=[line.order for line in load],
+        crossed_s=crossing_s(quick.judging[0], base.model),
         without=tuple(without),
         only=tuple(only),
     )
@@ -212,5 +215,6 @@ def _rounds(
         named += worth
         absorbed += [] if one in worth else [one.effect]
         now = accepted.found
-        open_ = [h for h in open_ if h.effect != accepted.effect]
+        # of a class one is enough: two would share among them what nobody can tell apart
+        open_ = [h for h in open_ if h.effect not in class_of(accepted.effect)]
     return now, named, absorbed, rounds

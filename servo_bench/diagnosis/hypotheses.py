@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from servo_bench.diagnosis.orders import Wave
-from servo_bench.diagnosis.unknowns import Unknown, widened
+from servo_bench.diagnosis.unknowns import Unknown, delay_that_is_crossed, widened
 from sim_rig.effects import catalogue, find_effect, inverter_dead_time, thermal_friction
 from sim_rig.effects.effect import Effect
 from sim_rig.model import Model, Simulated
@@ -38,6 +38,8 @@ LOAD_SHARE = 0.04
 """Of the inertia, behind the gap of a vehicle."""
 USUAL_INERTIA_KG_M2 = 2.5e-4
 SPRINGS = frozenset({"contact", "coupling_compliance"})
+CROSSING_DELAYS_S = (2e-5, 5e-5, 1e-4)
+"""Of a usual rig's command, that a clock which falls behind takes away (see `crossing`)."""
 DETECTED = frozenset({"missed_samples", "quantisation"})
 """Found by looking for them in the data (`hygiene`), not by trying sizes."""
 
@@ -103,6 +105,7 @@ class Trial:
     """One setting of an effect; `beside` are effects that carry it; `size` that of its strength.
 
     `swapped`: so much of its torque is taken from the Coulomb friction that was found.
+    `crossed_s`: a clock that falls behind until then; the delay that makes it so goes along.
     """
 
     effect: str
@@ -110,6 +113,7 @@ class Trial:
     size: float
     beside: Mapping[str, Table] = field(default_factory=dict)
     swapped: float = 0.0
+    crossed_s: float | None = None
 
     def on(self, model: Model) -> Model:
         """The model with it. Raises EffectError where it makes none."""
@@ -124,6 +128,9 @@ class Trial:
             settings["transition_rad_s"] = min(settings["transition_rad_s"], known)
         if self.swapped:
             model = _warm(model, self.swapped * settings["cold_torque_nm"])
+        if self.crossed_s is not None:
+            delay_s = -self.crossed_s * settings["skew_fraction"]
+            model = model.with_effect("transport_delay", delay_s=delay_s)
         return model.with_effect(self.effect, **settings)
 
     def times(self, share: float) -> "Trial":
@@ -161,6 +168,9 @@ class Hypothesis:
             found += widened(name, _FREE[name], model, trial.beside[name][strength])
         if trial.swapped:
             found[0] = replace(found[0], carries="coulomb.torque_nm", share=trial.swapped)
+        if trial.crossed_s is not None:
+            delay = delay_that_is_crossed()  # first: the skew carries what stands there
+            found = [delay, replace(found[0], carries=delay.name, share=trial.crossed_s)]
         return tuple(found)
 
 
@@ -186,6 +196,7 @@ def hypotheses(
     waves: Sequence[Wave] = (),
     ripple_orders: Sequence[float] = (),
     load_orders: Sequence[float] = (),
+    crossed_s: float | None = None,
     without: Sequence[str] = (),
     only: Sequence[str] = (),
 ) -> tuple[Hypothesis, ...]:
@@ -197,6 +208,8 @@ def hypotheses(
         if name in ("backlash_width", "position_backlash") and scales.gap_rad <= 0.0:
             continue
         trials = tuple(_trials(effect, scales, _Orders(motor_orders, ripple_orders, load_orders)))
+        if name == "clock_skew" and crossed_s is not None:
+            trials = tuple(_crossing(crossed_s))
         if trials:
             found.append(Hypothesis(name, trials, _FREE.get(name) or _default_free(effect)))
         if name == "cogging" and waves:
@@ -251,6 +264,14 @@ def _trials(
             if effect.name == "coupling_compliance":
                 settings["damping_s"] = _ringing_s(settings, scales)
             yield Trial(effect.name, settings, abs(size), beside, swapped)
+
+
+def _crossing(crossed_s: float) -> Iterator[Trial]:
+    """Clocks that take a usual delay away until then: what crosses is steep, and found by no step
+    from elsewhere."""
+    for delay_s in CROSSING_DELAYS_S:
+        skew = -delay_s / crossed_s
+        yield Trial("clock_skew", {"skew_fraction": skew}, abs(skew), crossed_s=crossed_s)
 
 
 def _ringing_s(settings: Table, s: Scales) -> float:

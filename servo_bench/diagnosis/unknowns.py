@@ -27,6 +27,8 @@ USUAL_SHARE, LEAST_SHARE = 0.2, 1e-4
 WIDE = 30.0
 """So many times the size that is tried is sought, at most, of what has no bound of its own."""
 
+MOST_DELAY_S, FINE_DELAY_S = 1.3e-4, 1e-5
+
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
@@ -83,12 +85,17 @@ def nuisances(torque_rms_nm: float, speed_rms_rad_s: float, gap_rad: float) -> t
         ("viscous", "damping_nm_s_per_rad", 0.0, damping),
         ("current_loop_lag", "lag_s", 0.0, 1e-4),
         ("velocity_filter_lag", "lag_s", 0.0, 2.5e-4),
-        ("transport_delay", "delay_s", 0.0, 1.3e-4),
+        ("transport_delay", "delay_s", 0.0, MOST_DELAY_S),
         ("torque_constant_error", "error_fraction", -0.005, 0.005),
         ("inertia_error", "error_fraction", -0.005, 0.005),
         *((("backlash_width", "change_rad", -gap, gap),) if gap > 0.0 else ()),
     )
     return tuple(_band(*band) for band in bands)
+
+
+def delay_that_is_crossed() -> Unknown:
+    """The delay's band in fine steps: its ratio to a clock's skew is when that uses it up."""
+    return replace(_band("transport_delay", "delay_s", 0.0, MOST_DELAY_S), step=FINE_DELAY_S)
 
 
 def _band(effect: str, field: str, low: float, high: float) -> Unknown:

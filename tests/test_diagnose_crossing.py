@@ -1,0 +1,63 @@
+"""A clock that falls behind until samples see the next command: when, and that it is named."""
+
+import numpy as np
+import pytest
+
+from servo_bench.diagnosis.crossing import crossing_s
+from servo_bench.diagnosis.evidence import evidence_of
+from servo_bench.diagnosis.finding import find_causes
+from servo_bench.diagnosis.judgement import verdict_of
+from servo_bench.recording.recording import Recording
+from sim_rig.model import Model
+from tests.fit_recordings import NOMINAL, recorded, with_channels
+
+MODEL = Model(NOMINAL)
+SLOTS, PERIOD_S = 1500, 0.008
+DELAY_S = 8e-5
+
+
+def skewed(seed: int, skew_fraction: float, delay_s: float = DELAY_S) -> Recording:
+    rig = MODEL.with_effect("clock_skew", skew_fraction=skew_fraction)
+    return recorded(rig.with_effect("transport_delay", delay_s=delay_s), seed, slots=SLOTS)
+
+
+def crossed(recording: Recording, model: Model = MODEL) -> float | None:
+    return crossing_s(evidence_of([recording], MODEL).fitted[0], model)
+
+
+@pytest.mark.parametrize("after_s", [2.0, 5.0, 9.0])
+def test_it_is_crossed_when_the_delay_is_used_up(after_s: float) -> None:
+    found = crossed(skewed(1, -DELAY_S / after_s))
+    assert found == pytest.approx(after_s, abs=4 * PERIOD_S)
+
+
+@pytest.mark.parametrize("skew_fraction", [2e-5, 0.0, -2e-6])
+def test_a_clock_that_crosses_nothing(skew_fraction: float) -> None:
+    assert crossed(skewed(2, skew_fraction)) is None
+
+
+def test_samples_that_see_the_next_command_from_the_start_are_no_clocks_doing() -> None:
+    assert crossed(skewed(3, -1e-6, delay_s=0.0)) is None
+
+
+def test_without_current_nothing_is_said() -> None:
+    recording = skewed(4, -DELAY_S / 4.0)
+    hidden = with_channels(recording, motor_torque_nm=np.full(len(recording), np.nan))
+    assert crossed(hidden) is None
+
+
+@pytest.mark.parametrize("wrong", [0.85, 1.15])
+def test_a_wrong_inertia_is_not_taken_for_it_and_does_not_hide_it(wrong: float) -> None:
+    other = MODEL.with_effect("inertia_error", error_fraction=wrong - 1.0)
+    assert crossed(skewed(5, 0.0), other) is None
+    assert crossed(skewed(5, -DELAY_S / 5.0), other) == pytest.approx(5.0, abs=8 * PERIOD_S)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("after_s", [3.0, 8.0])
+def test_the_skew_is_named_with_its_size(after_s: float) -> None:
+    skew = -DELAY_S / after_s
+    verdict = verdict_of(find_causes([skewed(6, skew)], MODEL))
+    assert verdict.names == ("clock_skew",)
+    (cause,) = verdict.causes
+    assert cause.parameters["skew_fraction"].value == pytest.approx(skew, rel=0.2)

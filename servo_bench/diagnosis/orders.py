@@ -36,10 +36,14 @@ STANDS_OUT = 25.0
 """Explained over mean residual variance, of two degrees of freedom: exp(-12.5) by chance."""
 FAINT = 5.0
 """What stands out by less is not looked at again when a stronger line is taken out."""
-LOAD_STANDS_OUT = 90.0
-"""Of a load line: bounces in the gap make lines by chance up to 70 among the 4184 orders."""
+LOAD_STANDS_OUT, BEYOND = 45.0, 4.0
+"""Of a load line: among the 4184 orders chance makes lines up to 30; bounces in the gap make others
+where they are not left out, as errors beyond so many deviations are here."""
 TONE = 60.0
 """Power of a line in time over its surroundings: exp(-60) by chance, and models are not perfect."""
+LEAST_ABOUT = 0.4
+"""Of the whole spectrum's middle, that a line's surroundings count for: where the motion leaves a
+hole in the error's spectrum, anything stands out of it."""
 AUDIBLE = 0.3
 """Amplitude of such a line, in sensor floors, below which it is nothing to speak of."""
 
@@ -278,7 +282,8 @@ def load_lines(comparison: Comparison, model: Model, most: int = 3) -> tuple[Ord
     error, angle = error[known], angle[known]
     quick = error - median_filter(error, SMOOTH_ROWS)
     sigma = max(1.4826 * float(np.median(np.abs(quick))), 1e-12)
-    values = np.clip(quick / sigma, -4.0, 4.0)
+    ratio = quick / (BEYOND * sigma)
+    values = ratio * np.maximum(1.0 - ratio**2, 0.0) ** 2  # Tukey's biweight
     orders = np.arange(16.0, HIGHEST_LOAD)
     heights = np.concatenate(
         [_heights(part, angle, values) for part in np.array_split(orders, orders.size // 256)]
@@ -320,7 +325,8 @@ def tone(comparison: Comparison, model: Model) -> Tone | None:
     window = np.hanning(quick.size)
     power = np.abs(np.fft.rfft(quick * window)) ** 2
     about = median_filter(power, 101, mode="nearest") / np.log(2.0)
-    height = power / np.maximum(about, 1e-300)
+    everywhere = float(np.median(power)) / np.log(2.0)
+    height = power / np.maximum(about, max(LEAST_ABOUT * everywhere, 1e-300))
     best = int(np.argmax(height[8:])) + 8
     if height[best] < TONE:
         return None

@@ -1,0 +1,57 @@
+"""Lines in a load's error: of its own scale by the angle, and of something outside by the time."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from servo_bench.diagnosis.coasting import coasting
+from servo_bench.diagnosis.comparison import Comparison, compare
+from servo_bench.diagnosis.evidence import SCALES
+from servo_bench.diagnosis.orders import load_lines, tone
+from sim_rig.model import Model
+from tests.fit_recordings import NOMINAL, recorded, with_channels
+
+MODEL = Model(NOMINAL)
+SLOTS, SHORT, PERIOD_S = 2500, 1300, 0.008
+LINES = 256
+BOUNCING = coasting(MODEL, 700.0)
+
+
+def compared(
+    seed: int, model: Model, error_rad: np.ndarray | None = None, slots: int = SLOTS
+) -> Comparison:
+    recording = recorded(model, seed, slots=slots)
+    if error_rad is not None:
+        angle = np.array(recording["load_angle_rad"])
+        recording = with_channels(recording, load_angle_rad=angle + error_rad[: angle.size])
+    return compare(recording, MODEL, scales=SCALES)
+
+
+@pytest.mark.parametrize("seed", [31, 32])
+def test_a_faint_scale_is_found_beside_a_load_that_bounces(seed: int) -> None:
+    scale = {"amplitude_rad": 4.5e-5, "line_order": float(LINES)}
+    lines = load_lines(compared(seed, BOUNCING.with_effect("encoder_subdivision", **scale)), MODEL)
+    assert [line.order for line in lines] == [LINES]
+
+
+@pytest.mark.parametrize("seed", [33, 34, 35])
+def test_a_load_that_bounces_makes_no_line(seed: int) -> None:
+    assert load_lines(compared(seed, BOUNCING), MODEL) == ()
+
+
+def test_a_floor_that_shakes_is_heard() -> None:
+    shaking = 4e-4 * np.sin(math.tau * 23.0 * PERIOD_S * np.arange(SLOTS + 200))
+    heard = tone(compared(36, BOUNCING, shaking), MODEL)
+    assert heard is not None
+    assert heard.frequency_hz == pytest.approx(23.0, abs=0.1)
+
+
+def test_a_faint_line_in_a_hole_of_the_spectrum_is_none() -> None:
+    slots = np.arange(SHORT + 200)
+    white = np.random.default_rng(37).standard_normal(slots.size)
+    smooth = lfilter(np.poly(-np.ones(8)), 1.0, white)  # eight means of neighbours: 0 at 62.5 Hz
+    faint = 5e-5 * np.sin(math.tau * 62.19 * PERIOD_S * slots)
+    error_rad = 3e-4 * smooth / float(np.std(smooth)) + faint
+    assert tone(compared(37, MODEL, error_rad, SHORT), MODEL) is None

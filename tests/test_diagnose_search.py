@@ -46,6 +46,19 @@ def test_scattered_points_never_make_a_search_worse(lost: tuple[Evidence, Found]
         assert again == pytest.approx(moved.cost)
 
 
+def test_what_is_taken_is_weighed_in_the_steps_that_were_asked_for(
+    lost: tuple[Evidence, Found],
+) -> None:
+    seen, found = lost
+    fine = seek(seen, found.model, found.unknowns, found.sigma, iterations=0, coarse=False)
+    moved = roam(seen, fine, {"cogging"}, coarse=False)
+    assert moved.cost < fine.cost
+    again = seen.seen([moved.model], coarse=False)[0].cost(fine.sigma)
+    assert again == pytest.approx(moved.cost)
+    settled = settle(seen, fine, {"cogging"}, turns=4, coarse=False)
+    assert settled.value("cogging.torque_nm") == pytest.approx(COGGING_NM, rel=0.02)
+
+
 def test_only_numbers_of_the_effects_in_question_are_scattered(
     lost: tuple[Evidence, Found],
 ) -> None:

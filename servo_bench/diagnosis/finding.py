@@ -18,6 +18,7 @@ import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+from servo_bench.diagnosis.bounces import bounces
 from servo_bench.diagnosis.classes import class_of
 from servo_bench.diagnosis.coasting import is_coasting, with_coasting
 from servo_bench.diagnosis.comparison import Choice
@@ -172,7 +173,7 @@ def find_causes(
         turns=turns,
         rounds=tuple(rounds),
         misfit_before=before,
-        misfit_after=misfit(whole, final.errors),
+        misfit_after=misfit(whole, final.errors, bounces(whole, final.model)),
         seconds=time.perf_counter() - began,
     )
 

@@ -116,10 +116,13 @@ def passes(contender: Contender, *, named: int = 0, right: bool = False) -> bool
     )
 
 
-def misfit(evidence: Evidence, errors: Errors) -> Array:
-    """Every signal's robust deviation over what a right simulation may miss, shape (signals,)."""
+def misfit(evidence: Evidence, errors: Errors, beside: Array | float = 0.0) -> Array:
+    """Every signal's robust deviation over what a right simulation may miss, shape (signals,).
+
+    `beside` is what this one may miss more, in the signals' units.
+    """
     robust = errors.robust()
-    return np.asarray(robust / evidence.allowed)
+    return np.asarray(robust / np.hypot(evidence.allowed, beside))
 
 
 def strength_of(model: Model, effect: str) -> float:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from servo_bench.diagnosis.orders import Wave
-from servo_bench.diagnosis.unknowns import Unknown, delay_that_is_crossed, widened
+from servo_bench.diagnosis.unknowns import MASS, Unknown, delay_that_is_crossed, widened
 from sim_rig.effects import catalogue, find_effect, inverter_dead_time, thermal_friction
 from sim_rig.effects.effect import Effect
 from sim_rig.model import Model, Simulated
@@ -34,8 +34,11 @@ SHARP = frozenset(
 of the Coulomb friction that was found."""
 HUB_SHARES, RINGING = (0.15, 0.3, 0.5), 0.03
 """Of the inertia, behind a coupling that gives way; and its damping over the critical one."""
-LOAD_SHARE = 0.04
-"""Of the inertia, behind the gap of a vehicle."""
+VEHICLE, LOAD_SHARE = "contact", 0.04
+"""What gives the load a mass of its own; and how much of the inertia is behind its gap."""
+ON_THE_LOAD = frozenset({"load_friction", "load_torque", "gravity_imbalance"})
+LITTLE = 0.005
+"""Of rms torque: friction of a load that something else drives through its gap."""
 USUAL_INERTIA_KG_M2 = 2.5e-4
 SPRINGS = frozenset({"contact", "coupling_compliance"})
 CROSSING_DELAYS_S = (2e-5, 5e-5, 1e-4)
@@ -139,6 +142,14 @@ class Trial:
         value = self.settings[strength] * share
         return replace(self, settings={**self.settings, strength: value}, size=abs(value))
 
+    def carrying(self, share: float) -> "Trial":
+        """On a vehicle with so many times the mass; the same trial where there is no vehicle."""
+        if VEHICLE not in self.beside:
+            return self
+        vehicle = self.beside[VEHICLE]
+        mass = {"load_inertia_kg_m2": vehicle["load_inertia_kg_m2"] * share}
+        return replace(self, beside={**self.beside, VEHICLE: {**vehicle, **mass}})
+
 
 def _warm(model: Model, taken_nm: float) -> Model:
     """Of the Coulomb friction that was found, so much is the cold's: the rest is tried beside it.
@@ -168,10 +179,19 @@ class Hypothesis:
             found += widened(name, _FREE[name], model, trial.beside[name][strength])
         if trial.swapped:
             found[0] = replace(found[0], carries="coulomb.torque_nm", share=trial.swapped)
+        if self.effect in ON_THE_LOAD:  # how fast a load goes in its gap is torque over mass
+            found = [self._with_its_torque(u, trial) for u in found]
         if trial.crossed_s is not None:
-            delay = delay_that_is_crossed()  # first: the skew carries what stands there
+            delay = delay_that_is_crossed()
             found = [delay, replace(found[0], carries=delay.name, share=trial.crossed_s)]
-        return tuple(found)
+        return tuple(sorted(found, key=lambda u: bool(u.carries)))  # what is carried is put first
+
+    def _with_its_torque(self, unknown: Unknown, trial: Trial) -> Unknown:
+        if unknown.name != f"{VEHICLE}.{MASS}":
+            return unknown
+        torques = sorted({self.effect, *trial.beside} - {VEHICLE})
+        carries = " ".join(f"{effect}.torque_nm" for effect in torques)
+        return replace(unknown, carries=carries, in_proportion=True)
 
 
 _FREE = {
@@ -259,11 +279,22 @@ def _trials(
     strength = effect.strengths[0]
     swapped = _mean_warmth(scales) if effect.name == "thermal_friction" else 0.0
     for choice, beside in _choices(effect.name, scales, orders):
-        for size in sizes:
+        coasting = effect.name == "load_friction" and VEHICLE in beside
+        for size in (*sizes, *(_slowing_nm(scales) if coasting else ())):
             settings = {strength: size, **choice}
             if effect.name == "coupling_compliance":
                 settings["damping_s"] = _ringing_s(settings, scales)
             yield Trial(effect.name, settings, abs(size), beside, swapped)
+
+
+def _slowing_nm(s: Scales) -> tuple[float, ...]:
+    """Friction that brings a vehicle's load to rest about as far as its gap is wide: between them
+    no template of one tells of the other."""
+    if s.gap_rad <= 0.0:
+        return ()
+    slowed_rad_s2 = 0.5 * s.speed_rad_s**2 / s.gap_rad
+    mass = LOAD_SHARE * s.inertia_kg_m2
+    return tuple(share * slowed_rad_s2 * mass for share in (0.5, 1.0, 2.0, 4.0))
 
 
 def _crossing(crossed_s: float) -> Iterator[Trial]:
@@ -339,12 +370,6 @@ def _choices(
     name: str, s: Scales, orders: "_Orders"
 ) -> Iterator[tuple[Table, Mapping[str, Table]]]:
     """What is not sought by steps but by trying: orders, velocities, a vehicle."""
-    vehicle = {
-        "contact": {
-            "compliance_rad_per_nm": 2e-3 * s.yielding,
-            "load_inertia_kg_m2": LOAD_SHARE * s.inertia_kg_m2,
-        }
-    }
     if name == "cogging":
         yield from (({"order": float(order)}, {}) for order in orders.motor)
     elif name == "torque_ripple":
@@ -355,7 +380,7 @@ def _choices(
     elif name == "encoder_subdivision":
         yield from (({"line_order": float(order)}, {}) for order in orders.load)
     elif name in SHARP:
-        yield from (({"transition_rad_s": 0.1}, beside) for beside in _vehicles(name, vehicle))
+        yield from (({"transition_rad_s": 0.1}, beside) for beside in _vehicles(name, s))
     elif name == "stribeck":
         yield from (({"stribeck_rad_s": v, "transition_rad_s": 0.1}, {}) for v in (0.15, 0.5, 2.0))
     elif name == "pre_sliding":
@@ -375,11 +400,20 @@ def _choices(
     elif name == "coupling_compliance":
         yield from (({"load_inertia_kg_m2": share * s.inertia_kg_m2}, {}) for share in HUB_SHARES)
     else:
-        yield from (({}, beside) for beside in _vehicles(name, vehicle))
+        yield from (({}, beside) for beside in _vehicles(name, s))
 
 
-def _vehicles(name: str, vehicle: Mapping[str, Table]) -> Iterator[Mapping[str, Table]]:
-    """None, and for what acts on the load a load with a mass."""
+def _vehicles(name: str, s: Scales) -> Iterator[Mapping[str, Table]]:
+    """None, and for what acts on the load a load with a mass, which rubs a little."""
     yield {}
-    if name in ("load_friction", "load_torque", "gravity_imbalance"):
-        yield vehicle
+    if name not in ON_THE_LOAD:
+        return
+    vehicle: dict[str, Table] = {
+        VEHICLE: {
+            "compliance_rad_per_nm": 2e-3 * s.yielding,
+            "load_inertia_kg_m2": LOAD_SHARE * s.inertia_kg_m2,
+        }
+    }
+    if name != "load_friction":
+        vehicle["load_friction"] = {"torque_nm": LITTLE * s.torque_nm}
+    yield vehicle

@@ -14,7 +14,7 @@ import numpy as np
 
 from servo_bench.diagnosis.evidence import Evidence, block_z
 from servo_bench.diagnosis.gate import is_material, material_sizes, passes_slowly
-from servo_bench.diagnosis.hypotheses import Hypothesis, Scales
+from servo_bench.diagnosis.hypotheses import VEHICLE, Hypothesis, Scales
 from servo_bench.diagnosis.rounds import Contender, Round, Told, merged, play_round
 from servo_bench.diagnosis.seeking import Found, seek, settle
 from servo_bench.diagnosis.unknowns import Unknown
@@ -30,7 +30,6 @@ SLOW = frozenset(
 )
 """What a recording's beginning hardly shows, because it warms slowly or turns but a few times:
 asked once more of all that was recorded."""
-VEHICLE = "contact"
 CARRIERS = {"anti_windup": "current_limit"}
 """Effects that act beside another only, which is a cause by itself."""
 

@@ -118,7 +118,8 @@ def _causes(finding: Finding) -> Iterator[Cause]:
     known = dict(zip(_names(finding.final), standard_errors(finding.final), strict=True))
     for one in finding.named:
         name = f"{one.effect}.{find_effect(one.effect).strengths[0]}"
-        sure = min(one.contender.seen_z, one.contender.held_z) > SURE
+        own = one.missed_z is None  # what carried another has no advantage of its own round
+        sure = own and min(one.contender.seen_z, one.contender.held_z) > SURE
         if sure or name not in known or abs(numbers[name].value) > SURE * known[name]:
             yield cause_of(one, numbers)
     if len(finding.lost.rows) >= FEWEST_LOST:

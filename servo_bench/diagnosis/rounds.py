@@ -10,12 +10,13 @@ at last   every accepted cause is taken away once; one whose absence costs less 
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
 from servo_bench.diagnosis.evidence import Errors, Evidence, block_z
-from servo_bench.diagnosis.hypotheses import SPRINGS, Hypothesis
+from servo_bench.diagnosis.hypotheses import SPRINGS, VEHICLE, Hypothesis
 from servo_bench.diagnosis.rows import Array
 from servo_bench.diagnosis.screening import Screened, screen
 from servo_bench.diagnosis.seeking import Found, seek, settle
@@ -32,7 +33,9 @@ WORTH = 0.15
 """Screened gain, as a share of the best one's, below which nothing is fitted."""
 LEAST_GAIN = 0.001
 WORTH_ANYHOW = 0.05
-STARTS = (1.0, 0.5, 0.25, 2.0)
+STARTS, MASSES = (1.0, 0.5, 0.25, 2.0), (1.0, 0.5, 0.25, 0.12)
+"""Of a trial's size, and of the mass that its vehicle carries: how a load slows is the two's ratio,
+and a search from a wrong one ends far off."""
 ALIKE, AS_GOOD = 0.95, 0.04
 """Contenders that change the same, and of which none gains so much more, are told apart by how
 much they assume: the one with fewer free numbers and the shorter law is taken."""
@@ -185,9 +188,9 @@ def _fitted(quick: Evidence, base: Found, one: Screened) -> Found:
     """From the best of a few sizes: what a template foretells is often too much."""
     unknowns = merged(base.unknowns, one.hypothesis.unknowns(base.model, one.trial))
     models = []
-    for share in STARTS:
+    for share, mass in product(STARTS, MASSES if VEHICLE in one.trial.beside else (1.0,)):
         try:
-            models.append(one.trial.times(share).on(base.model))
+            models.append(one.trial.times(share).carrying(mass).on(base.model))
         except SimRigError:
             continue
     costs = [errors.cost(base.sigma) for errors in quick.seen(models)]

@@ -4,6 +4,8 @@
 
 Impacts ripple z at small scale; differences begin one step wide and shrink. Candidates of one
 search differ from their base by a few numbers, so a handful of batches of simulations is enough.
+Secants, and points that are scattered, are played in coarse steps always: a difference of two says
+the same, and what is taken is weighed in the steps that were asked for.
 """
 
 from collections.abc import Collection, Sequence
@@ -82,7 +84,7 @@ def seek(
     jacobian = np.zeros((errors.rows.size, len(free)))
     quiet = 0
     for width in SHRINK[first : first + iterations]:
-        jacobian = place.jacobian(values, errors.white(weigh), weigh, width)
+        jacobian = place.jacobian(values, errors, weigh, width)
         step = _step(jacobian, errors.white(weigh), free, values)
         ends = [_turned(free, np.clip(values + s * step, _low(free), _high(free))) for s in TRIED]
         tried = place.errors(ends)
@@ -96,24 +98,24 @@ def seek(
             break
     found = put_all(model, free, list(values))
     settled = quiet > 0 or not free
-    values, jacobian = _apart(free, found, values), _own_columns(free, jacobian)
+    values, jacobian = _apart(free, found, values), _own_columns(free, found, jacobian)
     return Found(found, free, values, errors, weigh, jacobian, cost, settled)
 
 
 def _apart(unknowns: Sequence[Unknown], model: Model, values: Array) -> Array:
     """The numbers as they are in the model: one that another carries was put before that."""
-    carried = {u.carries for u in unknowns}
+    carried = {name for u in unknowns for name in u.carried}
     pairs = zip(unknowns, values, strict=True)
     return np.array([u.of(model) if u.name in carried else float(v) for u, v in pairs])
 
 
-def _own_columns(unknowns: Sequence[Unknown], jacobian: Array) -> Array:
+def _own_columns(unknowns: Sequence[Unknown], model: Model, jacobian: Array) -> Array:
     """Secants of every number alone: what it carried along is put back."""
     columns = {u.name: k for k, u in enumerate(unknowns)}
     own = jacobian.copy()
     for k, unknown in enumerate(unknowns):
-        if unknown.carries in columns:
-            own[:, k] += unknown.share * jacobian[:, columns[unknown.carries]]
+        for name in columns.keys() & set(unknown.carried):
+            own[:, k] += unknown.share_of(name, model) * jacobian[:, columns[name]]
     return own
 
 
@@ -153,13 +155,16 @@ def roam(
     batches: int = 4,
 ) -> Found:
     """The best of some points scattered about a search's end; its secants stay as they were."""
-    place = _Place(evidence, found.model, found.unknowns, coarse)
+    place = _Place(evidence, found.model, found.unknowns, coarse=True)
     free = place.unknowns
     mine = np.array([u.effect in own for u in free], dtype=bool)
     if not mine.any():
         return found
     rng = np.random.default_rng((seed, len(free)))
     values, errors, cost = found.values, found.errors, found.cost
+    if not coarse:
+        errors = place.errors([values])[0]
+        cost = errors.cost(found.sigma) + surprise(free, values)
     spread = 1.0
     for _ in range(batches):
         deviation = np.where(mine, spread * _own_deviation(free, values), 0.0)
@@ -172,6 +177,11 @@ def roam(
             values, errors, cost = ends[best], tried[best], costs[best]
         else:
             spread *= NARROWER
+    if not coarse:
+        errors = place._replace(coarse=False).errors([values])[0]
+        cost = errors.cost(found.sigma) + surprise(free, values)
+        if cost >= found.cost:
+            return found
     model = put_all(found.model, free, list(values))
     return found._replace(model=model, values=_apart(free, model, values), errors=errors, cost=cost)
 
@@ -218,8 +228,8 @@ class _Place(NamedTuple):
                 errors.rows = np.full_like(errors.rows, np.inf)
         return found
 
-    def jacobian(self, values: Array, here: Array, sigma: Array, width: float) -> Array:
-        """Secants of the whitened points from `here`, shape (points, numbers)."""
+    def jacobian(self, values: Array, errors: Errors, sigma: Array, width: float) -> Array:
+        """Secants of the whitened points from `errors`, those of `values`; (points, numbers)."""
         ends = []
         for k, unknown in enumerate(self.unknowns):
             end = values.copy()
@@ -228,8 +238,13 @@ class _Place(NamedTuple):
             if end[k] > unknown.high:
                 end[k] = max(values[k] - step, unknown.low)
             ends.append(end)
+        if self.coarse:
+            played = self.errors(ends)
+        else:
+            errors, *played = self._replace(coarse=True).errors([values, *ends])
+        here = errors.white(sigma)
         columns = []
-        for k, (end, there) in enumerate(zip(ends, self.errors(ends), strict=True)):
+        for k, (end, there) in enumerate(zip(ends, played, strict=True)):
             moved = end[k] - values[k]
             usable = moved != 0.0 and not there.ran_away
             columns.append((there.white(sigma) - here) / moved if usable else np.zeros_like(here))

@@ -36,7 +36,8 @@ class Unknown:
 
     `centre` and `deviation` are what is believed; an infinite deviation believes nothing.
     What changes nearly the same as another number `carries` that one: putting it takes `share` of
-    the change off there, so that the two can be sought apart (see `seeking`).
+    the change off there, so that the two can be sought apart (see `seeking`); or, where they are
+    known by their ratio, changes that one `in_proportion`. Several are told with spaces between.
     """
 
     effect: str
@@ -49,6 +50,7 @@ class Unknown:
     circular: bool = False
     carries: str = ""
     share: float = 0.0
+    in_proportion: bool = False
 
     @property
     def name(self) -> str:
@@ -63,16 +65,36 @@ class Unknown:
     def put(self, model: Model, value: float) -> Model:
         """The model with another value."""
         params = model.effects.get(self.effect, find_effect(self.effect).params())
-        if self.carries:
-            model = self._carried(model, self.share * (value - self.of(model)))
+        for name in self.carried:
+            model = self._taken_along(model, name, value - self.of(model))
         changed = params._replace(**{self.field: value})
         return replace(model, effects={**model.effects, self.effect: changed})
 
-    def _carried(self, model: Model, taken: float) -> Model:
-        effect, field = self.carries.split(".")
+    @property
+    def carried(self) -> tuple[str, ...]:
+        """Names of the numbers that go along."""
+        return tuple(self.carries.split())
+
+    def share_of(self, carried: str, model: Model) -> float:
+        """How much of a change is taken off there."""
+        own = self.of(model)
+        if not self.in_proportion or own == 0.0:
+            return self.share
+        return -_value(model, carried) / own
+
+    def _taken_along(self, model: Model, carried: str, change: float) -> Model:
+        effect, field = carried.split(".")
+        if self.in_proportion and effect not in model.effects:
+            return model
+        left = _value(model, carried) - self.share_of(carried, model) * change
         params = model.effects.get(effect, find_effect(effect).params())
-        left = max(float(getattr(params, field)) - taken, 0.0)
-        return replace(model, effects={**model.effects, effect: params._replace(**{field: left})})
+        params = params._replace(**{field: left if self.in_proportion else max(left, 0.0)})
+        return replace(model, effects={**model.effects, effect: params})
+
+
+def _value(model: Model, name: str) -> float:
+    effect, field = name.split(".")
+    return float(getattr(model.effects.get(effect, find_effect(effect).params()), field))
 
 
 def nuisances(torque_rms_nm: float, speed_rms_rad_s: float, gap_rad: float) -> tuple[Unknown, ...]:

@@ -1,0 +1,66 @@
+"""A load of its own mass: how it goes through its gap is torque over mass, and both are found."""
+
+import numpy as np
+import pytest
+
+from servo_bench.diagnosis.bounces import MOST, bounces
+from servo_bench.diagnosis.coasting import coasting
+from servo_bench.diagnosis.evidence import evidence_of
+from servo_bench.diagnosis.finding import Finding, find_causes
+from servo_bench.diagnosis.unknowns import Unknown, put_all
+from sim_rig.model import Model
+from tests.fit_recordings import NOMINAL, recorded
+
+MODEL = Model(NOMINAL)
+MASS_KG_M2 = 0.03 * NOMINAL.inertia_kg_m2
+FRICTION_NM = 5e-4
+SLOTS = 900
+
+
+def light_load(friction_nm: float) -> Model:
+    face = {"compliance_rad_per_nm": 2e-3, "damping_s": 1e-4, "load_inertia_kg_m2": MASS_KG_M2}
+    return MODEL.with_effect("contact", **face).with_effect("load_friction", torque_nm=friction_nm)
+
+
+def asked(hidden: Model, seed: int, effect: str) -> Finding:
+    return find_causes([recorded(hidden, seed, slots=SLOTS)], MODEL, only=(effect,))
+
+
+def test_friction_and_mass_of_a_load_that_comes_to_rest_in_its_gap_are_found() -> None:
+    found = asked(light_load(3e-3), 25, "load_friction")
+    assert [n.effect for n in found.named] == ["load_friction", "contact"]
+    effects = found.final.model.effects
+    assert effects["load_friction"].torque_nm == pytest.approx(3e-3, rel=0.05)
+    assert effects["contact"].load_inertia_kg_m2 == pytest.approx(MASS_KG_M2, rel=0.05)
+
+
+def test_a_weight_that_moves_a_light_load_is_found_beside_its_friction() -> None:
+    weight = {"torque_nm": 2.5e-3, "phase_rad": 1.9}
+    hidden = light_load(FRICTION_NM).with_effect("gravity_imbalance", **weight)
+    found = asked(hidden, 25, "gravity_imbalance").final.model.effects
+    assert found["gravity_imbalance"].torque_nm == pytest.approx(2.5e-3, rel=0.05)
+    assert found["gravity_imbalance"].phase_rad == pytest.approx(1.9, abs=0.05)
+    assert found["load_friction"].torque_nm == pytest.approx(FRICTION_NM, rel=0.2)
+
+
+def test_a_load_that_bounces_on_faces_of_its_own_law_may_be_missed_and_its_motor_may_not() -> None:
+    hidden = light_load(FRICTION_NM).with_effect("gravity_imbalance", torque_nm=2.5e-3)
+    seen = evidence_of([recorded(hidden, 27, slots=SLOTS)], MODEL, block="loop")
+    missed = dict(zip(seen.names, bounces(seen, hidden) / seen.allowed, strict=True))
+    assert 0.5 < missed["twist over 48 ms"] <= MOST
+    assert max(missed["motor velocity"], missed["torque"]) < 0.3
+    for rigid in (MODEL, coasting(MODEL, 700.0)):
+        np.testing.assert_array_equal(bounces(seen, rigid), 0.0)
+
+
+def test_what_a_mass_carries_in_proportion_keeps_its_ratio_and_its_sign() -> None:
+    rig = light_load(FRICTION_NM).with_effect("load_torque", torque_nm=-0.01)
+    both = "load_friction.torque_nm load_torque.torque_nm"
+    mass = Unknown(
+        *("contact", "load_inertia_kg_m2", 0.0, np.inf, 1e-6), carries=both, in_proportion=True
+    )
+    heavier = put_all(rig, (mass,), (2.0 * MASS_KG_M2,)).effects
+    assert heavier["load_friction"].torque_nm == pytest.approx(2.0 * FRICTION_NM)
+    assert heavier["load_torque"].torque_nm == pytest.approx(-0.02)
+    alone = put_all(rig.without("load_torque"), (mass,), (2.0 * MASS_KG_M2,)).effects
+    assert "load_torque" not in alone

@@ -97,13 +97,15 @@ def draw_evidence(figure: Figure, played: Round, chosen: Contender | None) -> No
     promised, left, blocks = figure.subplots(1, 3, width_ratios=[1.15, 1.0, 1.2])
     best = played.screened[:SHOWN_SCREENED]
     first = chosen.effect if chosen else None
-    _bars(promised, [s.hypothesis.effect for s in best], [100.0 * s.gain for s in best], first)
-    caption_axes(promised, "screened: what it could explain", "share of the cost (%)", "")
+    gains = [100.0 * max(s.gain, 0.0) for s in best]  # a template that fits worse promises nothing
+    _bars(promised, [s.hypothesis.effect for s in best], gains, first)
+    promised.set_xlim(left=0.0)
+    caption_axes(promised, "screened: promised", "share of the cost (%)", "")
     base = float(played.base_costs.sum())
     fitted = played.contenders
     _bars(left, [c.effect for c in fitted], [100.0 * c.total / base for c in fitted], first)
     left.set_xlim(0.0, 105.0)
-    caption_axes(left, "fitted: the cost that is left", "of the base's cost (%)", "")
+    caption_axes(left, "fitted: cost left", "of the base's cost (%)", "")
     _draw_blocks(blocks, played, chosen)
 
 

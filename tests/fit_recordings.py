@@ -38,10 +38,11 @@ def recorded(
     channels: tuple[str, ...] = RUN,
     jitter_s: float = 0.0,
     period_s: float = PERIOD_S,
+    played: NDArray[np.float64] | None = None,
 ) -> Recording:
     """A run of this model: encoders of 65536 counts with white noise, torque with 0.2 mN m."""
     rng = np.random.default_rng((seed, 1))
-    played = commands(seed, slots)
+    played = commands(seed, slots) if played is None else played
     durations_s = period_s + jitter_s * rng.uniform(-1.0, 1.0, played.size)
     asked_ns = np.rint(np.concatenate(([0.0], np.cumsum(durations_s[:-1]))) * 1e9).astype(np.int64)
     done = model.simulate(played, np.append(np.diff(asked_ns) * 1e-9, period_s))

@@ -5,6 +5,7 @@ import pytest
 
 from servo_bench.diagnosis.coasting import coasting, is_coasting, slowing_rad_s2, with_coasting
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
+from servo_bench.diagnosis.finding import find_causes
 from servo_bench.diagnosis.gate import misfit
 from servo_bench.diagnosis.seeking import Found, seek
 from servo_bench.diagnosis.unknowns import nuisances
@@ -41,3 +42,24 @@ def test_nothing_coasts_where_the_twist_is_right_or_more_than_the_twist_is_wrong
 ) -> None:
     seen, found = searched(hidden, 32)
     assert with_coasting(seen, found) is found
+
+
+def test_a_gap_that_is_wrong_is_found_beside_a_load_that_coasts_and_bounces() -> None:
+    """How far it goes on shows only in the right gap; rigid play finds neither."""
+    change_rad = 0.12 * NOMINAL.backlash_gap_rad
+    wider = MODEL.with_effect("backlash_width", change_rad=change_rad)
+    hidden = coasting(wider, 760.0, face_s=1.5e-5)
+    found = find_causes([recorded(hidden, 51, slots=900)], MODEL, only=("backlash_width",))
+    assert [n.effect for n in found.named] == ["backlash_width"]
+    assert is_coasting(found.final.model)
+    change = found.final.model.effects["backlash_width"].change_rad
+    assert change == pytest.approx(change_rad, rel=0.03)
+
+
+def test_friction_of_a_load_that_coasts_is_taken_off_the_motors() -> None:
+    """While both turn together nobody tells them apart."""
+    rig = MODEL.with_effect("coulomb", torque_nm=5e-3)
+    effects = coasting(rig, SLOWED_RAD_S2).effects
+    both = effects["coulomb"].torque_nm + effects["load_friction"].torque_nm
+    assert both == pytest.approx(5e-3)
+    assert effects["load_friction"].torque_nm > 0.0

@@ -81,6 +81,15 @@ def test_of_a_class_that_nobody_can_tell_apart_one_is_enough() -> None:
     assert not set(both) & set(asked)
 
 
+def test_a_stribeck_curve_is_no_larger_for_being_narrow() -> None:
+    """A smoothed sign change as wide as the curve would take most of it away."""
+    curve = {"excess_torque_nm": 8e-3, "stribeck_rad_s": 0.3, "transition_rad_s": 3e-3}
+    hidden = MODEL.with_effect("stribeck", **curve)
+    found = find_causes([recorded(hidden, 52, slots=SLOTS)], MODEL, only=("stribeck",))
+    assert [n.effect for n in found.named] == ["stribeck"]
+    assert found.final.model.effects["stribeck"].excess_torque_nm == pytest.approx(8e-3, rel=0.05)
+
+
 def test_a_spring_is_no_cause_where_nothing_is_wrong() -> None:
     assert not is_noted("coupling_compliance", np.array([0.33, 0.1]))
     assert is_noted("coupling_compliance", np.array([0.1, 0.91]))

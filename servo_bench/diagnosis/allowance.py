@@ -25,23 +25,30 @@ ALLOWED: Mapping[str, Sequence[float]] = {
     "effort": (0.017,),
 }
 """Robust deviation over the signal's own rms, from the quickest scale to the slowest."""
+SCALES = (1, 6, 36, 216)
+"""Rows over whose means angles are compared."""
+ROW_S = 0.008
+"""Of the recordings on which the shares were found."""
 
 
 def allowed(comparison: Comparison) -> Array:
     """For every signal, in its unit, shape (signals,)."""
     found = []
-    steps: dict[str, int] = {}
-    late = lateness_rms(comparison)
+    late, row_s = lateness_rms(comparison), min(comparison.source.rows.period_s, ROW_S)
     for signal, row, chance in zip(comparison.signals, comparison.measured, late, strict=True):
         kind = _kind(signal.name, signal.increments)
-        step = steps.get(kind, 0)
-        steps[kind] = step + 1
-        shares = ALLOWED[kind]
-        share = shares[min(step, len(shares) - 1)]
+        share = _share(kind, signal.stride * row_s)
         known = row[np.isfinite(row) & comparison.seen]
         rms = float(np.sqrt(np.mean(known**2))) if known.size else 0.0
         found.append(np.linalg.norm([FLOORS * signal.floor, share * rms, LATE * chance]))
     return np.array(found)
+
+
+def _share(kind: str, scale_s: float) -> float:
+    """At increments over such a time, between those that were found; slower rows than theirs count
+    as theirs."""
+    times, shares = np.log(ROW_S * np.array(SCALES)), np.log(ALLOWED[kind])
+    return float(np.exp(np.interp(np.log(scale_s), times[: shares.size], shares)))
 
 
 def _kind(name: str, increments: bool) -> str:

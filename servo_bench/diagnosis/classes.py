@@ -50,16 +50,15 @@ SPLITS: dict[frozenset[str], str] = {
         "contact's give does."
     ),
     frozenset({"current_loop_lag", "velocity_filter_lag"}): (
-        "Log at 1 kHz: a lag of the current delays torque, a filter delays what the loop sees."
+        "Command and log at 1 kHz: a lag of the current delays torque, a filter delays what the "
+        "loop sees."
     ),
     frozenset({"current_limit", "command_slew"}): (
         "Play half and double the amplitude: a current limit caps the acceleration, a slew limit "
         "the command."
     ),
 }
-BETTER_DATA = (
-    "Record motor position and torque as well, at 1 kHz, over full turns at two amplitudes or more."
-)
+BETTER_DATA = "Record motor position and torque as well, over full turns at two amplitudes or more."
 
 
 def class_of(effect: str) -> frozenset[str]:

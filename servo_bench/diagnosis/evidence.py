@@ -17,14 +17,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_bench.diagnosis.allowance import allowed
+from servo_bench.diagnosis.allowance import SCALES, allowed
 from servo_bench.diagnosis.comparison import Choice, Comparison, compare
 from servo_bench.diagnosis.rows import Array, Mask
 from servo_bench.excitation.experiment import Phase
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 
-SCALES = (1, 6, 36, 216)
 KNEE = 2.0
 ASKED = 0.6
 BLOCK_GROUPS = 2

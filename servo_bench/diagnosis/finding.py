@@ -1,5 +1,6 @@
 """The diagnosis: from recordings to a verdict, stage by stage.
 
+    thinning    of rows in which no command can have changed, one is kept
     base        nominal model and its nuisances, fitted on the recording's beginning
     hygiene     lost commands are put right and counted
     rounds      screen, fit, compete, accept; what is there but too small to matter is absorbed
@@ -28,6 +29,7 @@ from servo_bench.diagnosis.gate import is_noted, material_sizes, misfit, passes
 from servo_bench.diagnosis.hygiene import Lattice, LostCommands, lattice, wild_samples
 from servo_bench.diagnosis.hypotheses import Hypothesis, Scales, hypotheses
 from servo_bench.diagnosis.joint import (
+    BEHIND,
     SLOW,
     Named,
     fit_jointly,
@@ -47,6 +49,7 @@ from servo_bench.diagnosis.rounds import (
 )
 from servo_bench.diagnosis.rows import Array
 from servo_bench.diagnosis.seeking import Found, seek
+from servo_bench.diagnosis.thinning import thinned
 from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
@@ -107,8 +110,8 @@ def find_causes(
 ) -> Finding:
     """All stages but the verdict's words. Raises FitError where the data do not suffice."""
     began = time.perf_counter()
-    told = tuple(recordings), held_out
-    _need_command(told[0])
+    _need_command(recordings)
+    told = _thinned(recordings, held_out)
     ready = made_ready(*told, model, block=block, without=without, report=report)
     recordings, held_out, lost = ready.recordings, ready.held_out, ready.lost
     quick, base, scales, band = ready.quick, ready.base, ready.scales, ready.band
@@ -131,9 +134,10 @@ def find_causes(
         recordings, held_out, lost = *told, LostCommands((), lost.changes)
         whole = evidence_of(recordings, model, block=block)
     final, named = fit_jointly(whole, now, named, band, report)
-    if not named and not absorbed:  # a line of its error may repeat with the shaft by chance
+    if not named:  # a line of its error may repeat with the shaft by chance
         final = with_coasting(whole, final)
-    slow = [h for h in candidates if h.effect in SLOW - {n.effect for n in named}]
+    asked = SLOW | BEHIND if is_coasting(final.model) else SLOW
+    slow = [h for h in candidates if h.effect in asked - {n.effect for n in named}]
     late = play_slow_round(whole, final, slow, scales, report) if len(named) < MOST_CAUSES else None
     if late is not None:
         rounds.append(late.round)
@@ -184,6 +188,15 @@ def _need_command(recordings: Sequence[Recording]) -> None:
             "a recording has no velocity command: the closed loop cannot be played from it. Record "
             "the command, or give measured data with current or voltage and motion alone."
         )
+
+
+def _thinned(
+    recordings: Sequence[Recording], held_out: Recording | None
+) -> tuple[tuple[Recording, ...], Recording | None]:
+    if held_out is None:
+        return thinned(recordings), None
+    *seen, judge = thinned([*recordings, held_out])
+    return tuple(seen), judge
 
 
 def _in_round(number: int, report: Told) -> Told:

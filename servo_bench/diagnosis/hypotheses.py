@@ -37,6 +37,12 @@ HUB_SHARES, RINGING = (0.15, 0.3, 0.5), 0.03
 VEHICLE, LOAD_SHARE = "contact", 0.04
 """What gives the load a mass of its own; and how much of the inertia is behind its gap."""
 ON_THE_LOAD = frozenset({"load_friction", "load_torque", "gravity_imbalance"})
+SHAPES: Mapping[str, tuple[Table, ...]] = {
+    "stribeck": tuple({"stribeck_rad_s": v, "transition_rad_s": 0.1 * v} for v in (0.15, 0.5, 2.0)),
+    "pre_sliding": tuple({"breakaway_angle_rad": angle} for angle in (3e-5, 3e-4, 1e-3)),
+    "command_deadband": tuple({"offset_fraction": kind} for kind in (0.0, 1.0)),
+}
+"""What is tried beside sizes. A sign change as wide as a Stribeck curve would be most of it."""
 LITTLE = 0.005
 """Of rms torque: friction of a load that something else drives through its gap."""
 USUAL_INERTIA_KG_M2 = 2.5e-4
@@ -200,7 +206,7 @@ _FREE = {
     "load_dependent_friction": ("loss_fraction", "transition_rad_s"),
     "position_friction": ("swing_torque_nm", "phase_rad", "transition_rad_s"),
     "load_friction": ("torque_nm", "transition_rad_s"),
-    "stribeck": ("excess_torque_nm", "stribeck_rad_s"),
+    "stribeck": ("excess_torque_nm", "stribeck_rad_s", "transition_rad_s"),
     "pre_sliding": ("torque_nm", "breakaway_angle_rad"),
     "contact": ("compliance_rad_per_nm", "damping_s", "load_inertia_kg_m2"),
     "coupling_compliance": ("compliance_rad_per_nm", "damping_s", "load_inertia_kg_m2"),
@@ -381,12 +387,8 @@ def _choices(
         yield from (({"line_order": float(order)}, {}) for order in orders.load)
     elif name in SHARP:
         yield from (({"transition_rad_s": 0.1}, beside) for beside in _vehicles(name, s))
-    elif name == "stribeck":
-        yield from (({"stribeck_rad_s": v, "transition_rad_s": 0.1}, {}) for v in (0.15, 0.5, 2.0))
-    elif name == "pre_sliding":
-        yield from (({"breakaway_angle_rad": a}, {}) for a in (3e-5, 3e-4, 1e-3))
-    elif name == "command_deadband":
-        yield from (({"offset_fraction": kind}, {}) for kind in (0.0, 1.0))
+    elif name in SHAPES:
+        yield from ((shape, {}) for shape in SHAPES[name])
     elif name == "anti_windup":
         limits_a = (*s.peaks_a, *s.currents_a)
         yield from (({}, {"current_limit": {"limit_per_a": 1.0 / a}}) for a in limits_a)

@@ -17,9 +17,13 @@ from servo_bench.diagnosis.gate import is_material, material_sizes, passes_slowl
 from servo_bench.diagnosis.hypotheses import VEHICLE, Hypothesis, Scales
 from servo_bench.diagnosis.rounds import Contender, Round, Told, merged, play_round
 from servo_bench.diagnosis.seeking import Found, seek, settle
-from servo_bench.diagnosis.unknowns import Unknown
+from servo_bench.diagnosis.unknowns import MASS, Unknown
+from sim_rig.model import Model
 
 NEEDED_Z, NEEDED_SHARE = 4.0, 0.01
+FELT = 0.0075
+"""Of the inertia, that a load must have to be a cause: the motor feels nothing of a lighter one,
+which every rig has, and which coasts (`coasting`)."""
 SLOW_GAIN = 3e-4
 """Screened gain below which nothing slow is fitted: a record shows but a part of what it does."""
 SLOW = frozenset(
@@ -30,6 +34,8 @@ SLOW = frozenset(
 )
 """What a recording's beginning hardly shows, because it warms slowly or turns but a few times:
 asked once more of all that was recorded."""
+BEHIND = frozenset({"backlash_width", "encoder_subdivision"})
+"""What is small beside a load that coasts, and asked once more where that is known."""
 CARRIERS = {"anti_windup": "current_limit"}
 """Effects that act beside another only, which is a cause by itself."""
 
@@ -97,7 +103,7 @@ def needed_vehicle(
     """What a cause was tried on, where it is there and the cause alone would not do."""
     for one in named:
         for effect in {u.effect for u in one.contender.found.unknowns} & {VEHICLE}:
-            if any(n.effect == effect for n in named):
+            if any(n.effect == effect for n in named) or not _is_felt(final.model):
                 continue
             report(f"without {effect}")
             less = without_effect(whole, final, effect, band)
@@ -105,6 +111,12 @@ def needed_vehicle(
                 mine = own_unknowns(one.contender, effect)
                 return [Named(effect, one.round, one.contender, mine, _advantage(final, less))]
     return []
+
+
+def _is_felt(model: Model) -> bool:
+    vehicle = model.effects.get(VEHICLE)
+    mass = float(getattr(vehicle, MASS, 0.0))
+    return mass > FELT * model.nominal.inertia_kg_m2
 
 
 def _needed(final: Found, less: Found) -> bool:

@@ -22,8 +22,8 @@ from servo_bench.diagnosis.unknowns import Unknown, nuisances
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 
-QUICK_ROWS = 2200
-"""Rows of every recording on which candidates are tried: 18 s at 8 ms."""
+QUICK_S, FEWEST_QUICK_ROWS = 17.6, 2200
+"""Of every recording's beginning, on which candidates are tried; no fewer rows of a slow one."""
 FEW = 5
 """Samples of a current as large as a limit would leave many of; fewer may be a sensor's slips."""
 MOST_OF_IT = 0.5
@@ -55,7 +55,7 @@ def made_ready(
 ) -> Ready:
     """Base fit, orders, and what was lost."""
     report("base fit")
-    quick = quick_evidence(recordings, model, QUICK_ROWS, block=block)
+    quick = quick_evidence(recordings, model, _quick_rows(recordings), block=block)
     longest_s = max(len(recording) * recording.period_s for recording in recordings)
     scales = _scales(quick, model)._replace(seconds=longest_s)
     band = nuisances(scales.torque_nm, scales.speed_rad_s, scales.gap_rad)
@@ -67,10 +67,16 @@ def made_ready(
     lost = _lost(recordings, known, block, without)
     if lost.rows:
         recordings, held_out, lost = _put_right(recordings, held_out, known, block)
-        quick = quick_evidence(recordings, model, QUICK_ROWS, block=block)
+        quick = quick_evidence(recordings, model, _quick_rows(recordings), block=block)
         base = seek(quick, model, band, iterations=4)
         motor, waves = _waves(quick, base.model)
     return Ready(recordings, held_out, lost, quick, base, scales, band, motor, waves)
+
+
+def _quick_rows(recordings: Sequence[Recording]) -> int:
+    """Rows of the quick look: what happens counts by time, and standing still by none of it."""
+    period_s = min(recording.period_s for recording in recordings)
+    return max(FEWEST_QUICK_ROWS, round(QUICK_S / period_s))
 
 
 def order_tolerance(turns: float) -> float:

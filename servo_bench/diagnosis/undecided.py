@@ -120,7 +120,7 @@ def open_questions(recording: Recording) -> Iterator[str]:
     if recording.period_s > SLOW_PERIOD_S:
         yield (
             f"At a period of {recording.period_s * 1e3:g} ms delays and lags in the drive shorter "
-            "than a tenth of it look alike. Log at 1 kHz where the drive allows it."
+            "than a tenth of it look alike. Command and log at 1 kHz where the drive allows it."
         )
 
 

@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from servo_bench.diagnosis.evidence import beginning
 from servo_bench.diagnosis.finding import find_causes
-from servo_bench.diagnosis.thinning import thinned
+from servo_bench.diagnosis.thinning import rows_to_a_command, thinned
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, commands, recorded
@@ -21,7 +23,7 @@ def held(model: Model, seed: int, chips: int, *, first: int = 0) -> Recording:
     played = np.concatenate((np.zeros(first), played))
     fast = recorded(model, seed, played=played, period_s=FAST_S)
     phase = np.repeat(recorded(MODEL, seed, slots=chips)["phase"], HELD)
-    phase = np.concatenate((phase[:first], phase))
+    phase = np.concatenate((np.full(first, phase[0]), phase))
     return replace(fast, channels={**fast.channels, "phase": phase})
 
 
@@ -31,10 +33,20 @@ def travelled(recording: Recording) -> float:
     return float(recording["velocity_command_rad_s"] @ np.diff(slots)) * recording.period_s
 
 
+def alone(recording: Recording) -> Recording:
+    return thinned(recording, rows_to_a_command([recording]))
+
+
+def without_slots(recording: Recording, time_s: NDArray[np.float64]) -> Recording:
+    """As data from elsewhere come: with times, and with no slots."""
+    kept = {n: v for n, v in recording.channels.items() if n not in ("slot", "asked_ns")}
+    return replace(recording, channels={**kept, "t_s": time_s})
+
+
 @pytest.mark.parametrize("first", [0, 3])
 def test_a_row_is_kept_for_every_command(first: int) -> None:
     fast = held(MODEL, 41, 300, first=first)
-    (slow,) = thinned([fast])
+    slow = alone(fast)
     assert slow.period_s == pytest.approx(HELD * FAST_S)
     np.testing.assert_array_equal(slow["velocity_command_rad_s"], commands(41, 300))
     kept = slice(first, None, HELD)
@@ -48,7 +60,7 @@ def test_what_came_late_because_a_row_was_skipped_keeps_the_angle_that_was_asked
     kept = np.ones(len(fast), np.bool_)
     kept[[changes[5], changes[9] - 1, changes[20] + 3]] = False
     gapped = replace(fast, channels={n: v[kept] for n, v in fast.channels.items()})
-    (slow,) = thinned([gapped])
+    slow = alone(gapped)
     assert slow.period_s == pytest.approx(HELD * FAST_S)
     assert travelled(slow) == pytest.approx(travelled(gapped), rel=1e-12)
     lacking = np.flatnonzero(np.diff(slow["slot"]) == 2)
@@ -60,20 +72,65 @@ def test_rows_stay_where_commands_change_at_any_of_them(period_s: float, rows: i
     """Or where they are slow already; seven rows of 2 ms are held for too long to be one."""
     played = np.repeat(commands(43, 200), rows)
     fast = recorded(MODEL, 43, played=played, period_s=period_s)
-    assert thinned([fast])[0] is fast
+    assert rows_to_a_command([fast]) == 1
+    assert alone(fast) is fast
 
 
-def test_recordings_of_one_diagnosis_are_thinned_alike() -> None:
+@pytest.mark.parametrize(
+    ("late_s", "slow", "jitter_s"), [(0.5e-3, 0.0, 0.0), (0.0, 1e-3, 0.0), (0.0, 1e-4, 1e-4)]
+)
+def test_times_number_the_rows_whenever_they_began_and_whatever_their_clock_loses(
+    late_s: float, slow: float, jitter_s: float
+) -> None:
+    fast = held(MODEL, 48, 300)
+    time_s = late_s + FAST_S * (1.0 + slow) * np.arange(len(fast))
+    time_s += jitter_s * np.random.default_rng(48).uniform(-1.0, 1.0, len(fast))
+    assert rows_to_a_command([without_slots(fast, time_s)]) == HELD
+
+
+def test_recordings_of_one_diagnosis_are_thinned_alike_and_what_is_held_out_has_no_say() -> None:
     often = recorded(MODEL, 45, played=np.repeat(commands(45, 300), 4), period_s=FAST_S)
-    both = thinned([held(MODEL, 46, 200), often])
-    assert [one.period_s for one in both] == pytest.approx([4 * FAST_S, 4 * FAST_S])
+    seldom = held(MODEL, 46, 200)
     resting = recorded(MODEL, 47, played=np.zeros(800), period_s=FAST_S)
-    assert [len(one) for one in thinned([often, resting])] == [len(often) // 4, 200]
+    assert rows_to_a_command([seldom, often]) == 4
+    assert rows_to_a_command([often, resting]) == 4
+    assert len(thinned(resting, 4)) == 200
+    assert rows_to_a_command([seldom]) == HELD
+    assert thinned(often, HELD) is often  # as a hold-out: judged with its own rows
+
+
+def test_rows_stay_that_a_measured_input_or_a_hole_needs() -> None:
+    fast = held(MODEL, 49, 300)
+    open_ = {n: v for n, v in fast.channels.items() if "angle" not in n and "position" not in n}
+    assert rows_to_a_command([replace(fast, channels=open_)]) == 1
+    time_s = FAST_S * np.arange(len(fast)) + np.where(np.arange(len(fast)) > 900, 0.05, 0.0)
+    assert rows_to_a_command([without_slots(fast, time_s)]) == 1
+    empty = replace(fast, channels={n: v[:1] for n, v in fast.channels.items()})
+    assert rows_to_a_command([fast, empty]) == 1
+
+
+def test_wrong_samples_are_counted_in_all_the_rows_that_came() -> None:
+    fast = held(MODEL, 50, 900)
+    wrong = np.array(fast["load_angle_rad"])
+    wrong[1003::130] += 0.3
+    shown = replace(fast, channels={**fast.channels, "load_angle_rad": wrong})
+    found = find_causes([shown], MODEL, only=("transport_delay",))
+    assert found.wild > 0.9 * wrong[1003::130].size
 
 
 def test_at_1_khz_the_same_cause_is_named_as_at_the_pace_of_the_commands() -> None:
     delayed = MODEL.with_effect("transport_delay", delay_s=2.3e-3)
-    found = find_causes([held(delayed, 44, 900)], MODEL, only=("transport_delay", "command_slew"))
+    rested = held(delayed, 44, 900, first=2000)  # two seconds at rest before anything moves
+    found = find_causes([rested], MODEL, only=("transport_delay", "command_slew"))
     assert [n.effect for n in found.named] == ["transport_delay"]
     assert found.final.model.effects["transport_delay"].delay_s == pytest.approx(2.3e-3, rel=0.02)
     assert found.misfit_after.max() < 1.0
+
+
+def test_a_long_rest_before_anything_moves_leaves_as_much_motion_to_a_quick_look() -> None:
+    resting = np.concatenate((np.zeros(900), commands(51, 500)))
+    moves = int(np.argmax(resting != 0.0))
+    late = recorded(MODEL, 51, played=resting)
+    assert len(beginning(late, 400)) == moves + 300
+    soon = recorded(MODEL, 51, slots=500)
+    assert len(beginning(soon, 400)) == 400

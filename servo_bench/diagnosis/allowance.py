@@ -26,7 +26,7 @@ ALLOWED: Mapping[str, Sequence[float]] = {
 }
 """Robust deviation over the signal's own rms, from the quickest scale to the slowest."""
 SCALES = (1, 6, 36, 216)
-"""Rows over whose means angles are compared."""
+"""Points over whose means angles are compared."""
 ROW_S = 0.008
 """Of the recordings on which the shares were found."""
 
@@ -34,14 +34,20 @@ ROW_S = 0.008
 def allowed(comparison: Comparison) -> Array:
     """For every signal, in its unit, shape (signals,)."""
     found = []
-    late, row_s = lateness_rms(comparison), min(comparison.source.rows.period_s, ROW_S)
+    late, point_s = lateness_rms(comparison), min(_point_s(comparison), ROW_S)
     for signal, row, chance in zip(comparison.signals, comparison.measured, late, strict=True):
         kind = _kind(signal.name, signal.increments)
-        share = _share(kind, signal.stride * row_s)
+        share = _share(kind, signal.stride * point_s)
         known = row[np.isfinite(row) & comparison.seen]
         rms = float(np.sqrt(np.mean(known**2))) if known.size else 0.0
         found.append(np.linalg.norm([FLOORS * signal.floor, share * rms, LATE * chance]))
     return np.array(found)
+
+
+def _point_s(comparison: Comparison) -> float:
+    """From a point that is compared to the next."""
+    first = comparison.pieces[0]
+    return float(first.end[0] - first.start[0]) * comparison.source.rows.period_s
 
 
 def _share(kind: str, scale_s: float) -> float:

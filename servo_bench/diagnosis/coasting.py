@@ -37,11 +37,12 @@ OTHERWISE = frozenset({"contact", "load_friction", "load_torque", "gravity_imbal
 """Effects that give the load a motion of its own already."""
 
 
-def with_coasting(whole: Evidence, final: Found) -> Found:
+def with_coasting(whole: Evidence, final: Found, *, to_ask: bool = True) -> Found:
     """The same search with a coasting load beside, where only the twist is wrong; or as it was.
 
     Coasting is judged in the gap that fits it best. That gap is not kept where it is more than
-    what every rig has: it is a cause, to be found beside a load that coasts.
+    what every rig has: it is a cause, to be found beside a load that coasts. Until that is asked
+    the load may coast and fit worse; where it is not to be asked any more, it may not.
     """
     if not _twist_is_wrong(whole, final) or OTHERWISE & set(final.model.effects):
         return final
@@ -54,7 +55,8 @@ def with_coasting(whole: Evidence, final: Found) -> Found:
     if alone.errors.cost(final.sigma) > (1.0 - WORTH_IT) * rested:
         return final
     unknowns = (*final.unknowns, *own)
-    return seek(whole, alone.model, unknowns, final.sigma, iterations=2, first=2)
+    found = seek(whole, alone.model, unknowns, final.sigma, iterations=2, first=2)
+    return found if to_ask or found.errors.cost(final.sigma) < rested else final
 
 
 def _start(whole: Evidence, final: Found) -> Model | None:

@@ -60,13 +60,13 @@ def conclude(
             recordings, model=model, held_out=held_out, without=without, only=only, report=report
         )
         report("writing the verdict")
-        return Concluded(_told(finding, recordings[0]), finding)
+        return Concluded(_told(finding), finding)
     except FAILED as error:
         return Concluded(undecided(error, recordings), None)
 
 
-def _told(finding: Finding, recording: Recording) -> Verdict:
+def _told(finding: Finding) -> Verdict:
     """The verdict on a finding, with its picture and what this excitation leaves open."""
     verdict = verdict_of(finding)
-    open_still = (*verdict.undecided, *open_questions(recording))
+    open_still = (*verdict.undecided, *open_questions(finding.recordings[0]))
     return verdict.model_copy(update={"signature": picture(finding), "undecided": open_still})

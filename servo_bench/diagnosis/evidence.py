@@ -30,6 +30,8 @@ BLOCK_GROUPS = 2
 """A block is so many groups of `comparison` (0.25 s each)."""
 BEYOND_DOUBT = 1e3
 """Largest advantage over its scatter that is told: blocks that agree fully have no scatter."""
+RESTING = 0.25
+"""Of a quick look's rows, that the rest before any motion may take."""
 COARSE = 4.0
 """How many times longer the simulation's steps are while candidates are tried."""
 
@@ -198,9 +200,20 @@ def _validation(recording: Recording) -> int | None:
     return int(rows[0]) if rows.size else None
 
 
+def _resting(recording: Recording) -> int:
+    """Rows before the first command to move; none where there is no command."""
+    if "velocity_command_rad_s" not in recording:
+        return 0
+    return int(np.argmax(np.nan_to_num(recording["velocity_command_rad_s"]) != 0.0))
+
+
 def beginning(recording: Recording, rows: int) -> Recording:
-    """The first rows of a recording, none of its validation, for quick looks."""
+    """The first rows of a recording, none of its validation, for quick looks.
+
+    A rest that is longer than `RESTING` of them, before anything moves, comes beside.
+    """
     first = _validation(recording)
+    rows += max(_resting(recording) - round(RESTING * rows), 0)
     rows = min(rows, len(recording) if first is None else first)
     if len(recording) <= rows:
         return recording

@@ -1,6 +1,6 @@
 """The diagnosis: from recordings to a verdict, stage by stage.
 
-    thinning    of rows in which no command can have changed, one is kept
+    thinning    of rows in which no command can have changed, one is kept; by the recordings alone
     base        nominal model and its nuisances, fitted on the recording's beginning
     hygiene     lost commands are put right and counted
     rounds      screen, fit, compete, accept; what is there but too small to matter is absorbed
@@ -19,10 +19,11 @@ import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+from servo_bench.diagnosis.allowance import SCALES
 from servo_bench.diagnosis.bounces import bounces
 from servo_bench.diagnosis.classes import class_of
 from servo_bench.diagnosis.coasting import is_coasting, with_coasting
-from servo_bench.diagnosis.comparison import Choice
+from servo_bench.diagnosis.comparison import Choice, compare
 from servo_bench.diagnosis.crossing import crossing_s
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.gate import is_noted, material_sizes, misfit, passes
@@ -49,7 +50,7 @@ from servo_bench.diagnosis.rounds import (
 )
 from servo_bench.diagnosis.rows import Array
 from servo_bench.diagnosis.seeking import Found, seek
-from servo_bench.diagnosis.thinning import thinned
+from servo_bench.diagnosis.thinning import rows_to_a_command, thinned
 from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
@@ -67,7 +68,7 @@ class Finding:
     """Everything that a verdict is written from.
 
     `recordings` and `held_out` have the commands that the drive heard; `told` is the one that
-    judges, with the commands that were sent.
+    judges, with the commands that were sent; all of them thinned to a row or two a command.
     """
 
     recordings: tuple[Recording, ...]
@@ -111,7 +112,8 @@ def find_causes(
     """All stages but the verdict's words. Raises FitError where the data do not suffice."""
     began = time.perf_counter()
     _need_command(recordings)
-    told = _thinned(recordings, held_out)
+    rows = rows_to_a_command(recordings) if block in ("auto", "loop") else 1
+    came, told = recordings[0], _thinned(recordings, held_out, rows)
     ready = made_ready(*told, model, block=block, without=without, report=report)
     recordings, held_out, lost = ready.recordings, ready.held_out, ready.lost
     quick, base, scales, band = ready.quick, ready.base, ready.scales, ready.band
@@ -154,9 +156,9 @@ def find_causes(
     grid = None if "quantisation" in without else lattice(whole.fitted[0], final.model)
     report("coasting")
     if named or absorbed:
-        final = with_coasting(whole, final)
+        final = with_coasting(whole, final, to_ask=False)
     else:
-        final = plain = with_coasting(whole, plain)
+        final = plain = with_coasting(whole, plain, to_ask=False)
     return Finding(
         recordings=recordings,
         held_out=held_out,
@@ -173,11 +175,12 @@ def find_causes(
         motor_lines=motor.torque,
         load_lines=load,
         tone=tone(quick.fitted[0], now.model),
-        wild=wild_samples(quick.fitted[0], now.model, scales.gap_rad),
+        wild=_wild(came, quick, now.model, scales),
         turns=turns,
         rounds=tuple(rounds),
         misfit_before=before,
         misfit_after=misfit(whole, final.errors, bounces(whole, final.model)),
+        notes=_of_the_rows(came, rows),
         seconds=time.perf_counter() - began,
     )
 
@@ -191,12 +194,27 @@ def _need_command(recordings: Sequence[Recording]) -> None:
 
 
 def _thinned(
-    recordings: Sequence[Recording], held_out: Recording | None
+    recordings: Sequence[Recording], held_out: Recording | None, rows: int
 ) -> tuple[tuple[Recording, ...], Recording | None]:
-    if held_out is None:
-        return thinned(recordings), None
-    *seen, judge = thinned([*recordings, held_out])
-    return tuple(seen), judge
+    judge = thinned(held_out, rows) if held_out is not None else None
+    return tuple(thinned(recording, rows) for recording in recordings), judge
+
+
+def _of_the_rows(came: Recording, rows: int) -> tuple[str, ...]:
+    if rows == 1:
+        return ()
+    return (
+        f"Commands lasted for {rows} rows or multiples of them: of so many one was judged, every "
+        f"{rows * came.period_s * 1e3:g} ms.",
+    )
+
+
+def _wild(came: Recording, quick: Evidence, model: Model, scales: Scales) -> int:
+    """Wrong samples, of all the rows that came."""
+    seen = quick.fitted[0]
+    if came.period_s < seen.source.rows.period_s:
+        seen = compare(came, model, seen.block, scales=SCALES)
+    return wild_samples(seen, model, scales.gap_rad)
 
 
 def _in_round(number: int, report: Told) -> Told:

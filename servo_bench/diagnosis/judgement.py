@@ -81,9 +81,11 @@ def verdict_of(finding: Finding) -> Verdict:
 def _strange(finding: Finding) -> Iterator[str]:
     """What no effect of the catalogue makes, in sentences."""
     if finding.tone is not None:
+        rate_hz = 1.0 / finding.recordings[0].period_s
         yield (
-            f"A tone of {finding.tone.frequency_hz:.2f} Hz stands in the load's error, "
-            f"{finding.tone.amplitude_rad:.2g} rad: it comes from outside of the rig's own motion."
+            f"A tone of {finding.tone.frequency_hz:.2f} Hz, or so much beside a multiple of "
+            f"{rate_hz:.4g} Hz, stands in the load's error, {finding.tone.amplitude_rad:.2g} rad: "
+            "it comes from outside of the rig's own motion."
         )
     if finding.wild >= FEWEST_WILD:
         yield (

@@ -74,7 +74,7 @@ def made_ready(
 
 
 def _quick_rows(recordings: Sequence[Recording]) -> int:
-    """Rows of the quick look: what happens counts by time, and standing still by none of it."""
+    """Of the quick look: however fast the rows come, as much time is looked at."""
     period_s = min(recording.period_s for recording in recordings)
     return max(FEWEST_QUICK_ROWS, round(QUICK_S / period_s))
 

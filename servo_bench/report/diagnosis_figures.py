@@ -121,7 +121,7 @@ def _bars(axes: Axes, names: Sequence[str], values: Sequence[float], first: str 
 
 def _draw_blocks(axes: Axes, played: Round, chosen: Contender | None) -> None:
     """Block by block: advantage over the base, and over the best rival."""
-    caption_axes(axes, "advantage by block, sorted", "block (0.5 s each)", "signed root of cost")
+    caption_axes(axes, "advantage, sorted", "block (0.5 s each)", "signed root of cost")
     axes.axhline(0.0, color=MUTED, linewidth=0.6)
     if chosen is None:
         axes.text(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from servo_bench.diagnosis.evidence import beginning
+from servo_bench.diagnosis.evidence import beginning, evidence_of
 from servo_bench.diagnosis.finding import find_causes
 from servo_bench.diagnosis.thinning import rows_to_a_command, thinned
 from servo_bench.recording.recording import Recording
@@ -134,3 +134,18 @@ def test_a_long_rest_before_anything_moves_leaves_as_much_motion_to_a_quick_look
     assert len(beginning(late, 400)) == moves + 300
     soon = recorded(MODEL, 51, slots=500)
     assert len(beginning(soon, 400)) == 400
+
+
+def test_what_may_be_missed_is_known_where_a_first_piece_is_too_short_for_a_point() -> None:
+    """At 5 kHz the mechanics' points are 40 rows apart, and a piece may have 20."""
+    fast = recorded(MODEL, 61, played=np.repeat(commands(61, 300), 40), period_s=2e-4)
+    phase = np.repeat(recorded(MODEL, 61, slots=300)["phase"], 40)
+    torn = np.array(fast["motor_torque_nm"])
+    torn[20] = np.nan
+    channels = {**fast.channels, "phase": phase}
+    whole, cut = (
+        evidence_of([replace(fast, channels={**channels, **more})], MODEL, block="mechanics")
+        for more in ({}, {"motor_torque_nm": torn})
+    )
+    assert cut.fitted[0].pieces[0].start.size == 0
+    np.testing.assert_allclose(cut.allowed, whole.allowed, rtol=0.2)

@@ -45,9 +45,9 @@ def allowed(comparison: Comparison) -> Array:
 
 
 def _point_s(comparison: Comparison) -> float:
-    """From a point that is compared to the next."""
-    first = comparison.pieces[0]
-    return float(first.end[0] - first.start[0]) * comparison.source.rows.period_s
+    """From a point that is compared to the next; a piece that is too short for one has none."""
+    rows = np.concatenate([piece.end - piece.start for piece in comparison.pieces])
+    return float(rows[0]) * comparison.source.rows.period_s
 
 
 def _share(kind: str, scale_s: float) -> float:

@@ -22,8 +22,8 @@ from sim_rig.model import Model
 
 NEEDED_Z, NEEDED_SHARE = 4.0, 0.01
 FELT = 0.0075
-"""Of the inertia, that a load must have to be a cause: the motor feels nothing of a lighter one,
-which every rig has, and which coasts (`coasting`)."""
+"""Of the inertia, that a load must have to be a cause beside what it carries: the motor feels
+nothing of a lighter one, which every rig has, and which coasts (`coasting`)."""
 SLOW_GAIN = 3e-4
 """Screened gain below which nothing slow is fitted: a record shows but a part of what it does."""
 SLOW = frozenset(

@@ -19,6 +19,8 @@ import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from servo_bench.diagnosis.allowance import SCALES
 from servo_bench.diagnosis.bounces import bounces
 from servo_bench.diagnosis.classes import class_of
@@ -51,6 +53,7 @@ from servo_bench.diagnosis.rounds import (
 from servo_bench.diagnosis.rows import Array
 from servo_bench.diagnosis.seeking import Found, seek
 from servo_bench.diagnosis.thinning import rows_to_a_command, thinned
+from servo_bench.diagnosis.unevenness import unevenness
 from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
@@ -179,10 +182,15 @@ def find_causes(
         turns=turns,
         rounds=tuple(rounds),
         misfit_before=before,
-        misfit_after=misfit(whole, final.errors, bounces(whole, final.model)),
+        misfit_after=misfit(whole, final.errors, _beside(whole, final.model, scales)),
         notes=_of_the_rows(came, rows),
         seconds=time.perf_counter() - began,
     )
+
+
+def _beside(whole: Evidence, model: Model, scales: Scales) -> Array:
+    """What this very model may miss beside what every right one may, in the signals' units."""
+    return np.hypot(bounces(whole, model), unevenness(whole, model, scales.torque_nm))
 
 
 def _need_command(recordings: Sequence[Recording]) -> None:

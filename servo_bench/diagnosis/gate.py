@@ -23,6 +23,9 @@ HELD_GAIN, SECOND_GAIN, FURTHER_GAIN = 0.004, 0.04, 0.05
 MOST_OF_IT, MUCH = 0.5, 0.1
 """Who explains so much of what was seen need not be as sure on the rest."""
 HALF, A_FIFTH = 0.5, 0.2
+LINES = frozenset({"cogging", "torque_ripple"})
+"""A line at an order of the shaft is like nothing else, so their sizes are but twice what bearings
+and teeth of every motor have, and half of them is not enough."""
 
 
 def material_sizes(s: Scales) -> dict[str, float]:
@@ -37,15 +40,15 @@ def material_sizes(s: Scales) -> dict[str, float]:
         "position_friction": 0.02 * tau,
         "thermal_friction": 0.02 * tau,
         "load_dependent_friction": 0.012,
-        "cogging": 0.015 * tau,
-        "torque_ripple": 0.005,
+        "cogging": 0.0075 * tau,
+        "torque_ripple": 0.002,
         "torque_constant_error": 0.0125,
         "inertia_error": 0.0125,
         "torque_constant_droop": 0.01 / s.currents_a[0] ** 2,
         "thermal_torque_constant": 0.025,
         "anti_windup": 3.0,
-        "gravity_imbalance": 0.02 * tau,
-        "load_torque": 0.02 * tau,
+        "gravity_imbalance": 0.01 * tau,
+        "load_torque": 0.01 * tau,
         "load_friction": 0.05 * tau,
         "inverter_dead_time": 0.01 * s.current_a,
         "current_loop_lag": 1.1e-4,
@@ -77,7 +80,8 @@ def is_material(model: Model, effect: str, scales: Scales, held_gain: float = 0.
     if effect in SPRINGS and held_gain < GIVE:
         return False
     size = material_sizes(scales).get(effect, 0.0)
-    return abs(strength_of(model, effect)) >= size * (HALF if held_gain > A_FIFTH else 1.0)
+    enough = HALF if held_gain > A_FIFTH and effect not in LINES else 1.0
+    return abs(strength_of(model, effect)) >= enough * size
 
 
 def is_noted(effect: str, misfit_before: Array) -> bool:

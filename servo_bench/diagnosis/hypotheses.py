@@ -16,7 +16,13 @@ from typing import NamedTuple
 import numpy as np
 
 from servo_bench.diagnosis.orders import Wave
-from servo_bench.diagnosis.unknowns import MASS, Unknown, delay_that_is_crossed, widened
+from servo_bench.diagnosis.unknowns import (
+    MASS,
+    USUAL_INERTIA_KG_M2,
+    Unknown,
+    delay_that_is_crossed,
+    widened,
+)
 from sim_rig.effects import catalogue, find_effect, inverter_dead_time, thermal_friction
 from sim_rig.effects.effect import Effect
 from sim_rig.model import Model, Simulated
@@ -45,7 +51,6 @@ SHAPES: Mapping[str, tuple[Table, ...]] = {
 """What is tried beside sizes. A sign change as wide as a Stribeck curve would be most of it."""
 LITTLE = 0.005
 """Of rms torque: friction of a load that something else drives through its gap."""
-USUAL_INERTIA_KG_M2 = 2.5e-4
 SPRINGS = frozenset({"contact", "coupling_compliance"})
 CROSSING_DELAYS_S = (2e-5, 5e-5, 1e-4)
 """Of a usual rig's command, that a clock which falls behind takes away (see `crossing`)."""

@@ -24,6 +24,9 @@ from sim_rig.model import Model
 MASS = "load_inertia_kg_m2"
 USUAL_SHARE, LEAST_SHARE = 0.2, 1e-4
 """Of the inertia, behind the gap or the coupling."""
+STIFFEST, FACE, USUAL_INERTIA_KG_M2 = 0.05, ("contact", "compliance_rad_per_nm"), 2.5e-4
+"""Of the smallest compliance of a face on a rig of a hundred watts: one that is stiffer throws the
+load no other way, and every step of its simulation becomes shorter."""
 WIDE = 30.0
 """So many times the size that is tried is sought, at most, of what has no bound of its own."""
 
@@ -160,6 +163,8 @@ def _wide(parameter: FreeParameter, effect: str, size: float, inertia: float) ->
     own = WIDE * abs(size) if parameter.is_strength else 0.0
     low = max(prior.least, 0.0) if prior.least >= 0.0 else -max(10.0 * abs(prior.low), own)
     high = min(prior.most, max(10.0 * prior.high, own))
+    if (effect, field) == FACE:
+        low = STIFFEST * prior.low * USUAL_INERTIA_KG_M2 / inertia
     if field == MASS:
         low, high = LEAST_SHARE * inertia, inertia
     elif prior.above > -np.inf:

@@ -97,6 +97,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--first-seed", type=int, default=JUDGING_FROM)
     parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--period-s", type=float, default=PERIOD_S)
+    parser.add_argument("--measured", action="store_true", help="handed over as imported CSV")
     parser.add_argument("--forced", action="store_true", help="fit the true causes too: two fits")
     parser.add_argument("--jobs", type=int, help="processes (default: one a core)")
     parser.add_argument("--scheduler", help="tcp://HOST:PORT of a Dask scheduler")
@@ -120,6 +121,7 @@ def main(arguments: list[str] | None = None) -> int:
         first_seed=options.first_seed,
         seconds=options.seconds,
         period_s=options.period_s,
+        measured=options.measured,
     )
     out, began_s = options.json, time.monotonic()
     try:

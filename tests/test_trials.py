@@ -119,6 +119,23 @@ def test_with_the_load_encoder_alone_no_motor_channel_is_handed_over(tmp_path: P
     assert np.isfinite(seen["load_angle_rad"]).all()
 
 
+def test_measured_data_have_a_clock_and_sensors_and_no_phases(tmp_path: Path) -> None:
+    """The same numbers as the run's, from a row on that the seed chose."""
+    for folder in ("run", "other"):
+        (tmp_path / folder).mkdir()
+    run = load(handed_to(tmp_path / "run", quick()).seen)
+    other = load(handed_to(tmp_path / "other", quick(measured=True)).seen)
+    assert set(other.channels) == {
+        *("t_s", "velocity_command_rad_s", "load_angle_rad"),
+        *("motor_position_rad", "motor_torque_nm"),
+    }
+    assert other.rig is None
+    cut = len(run) - len(other)
+    assert 0 < cut < 0.13 * len(run)
+    for name in set(other.channels) - {"t_s"}:
+        np.testing.assert_allclose(other[name], run[name][cut:], rtol=1e-7, atol=1e-12)
+
+
 @pytest.mark.parametrize("kind", ["one", "pair", "outside"])
 def test_the_diagnoser_is_told_neither_seed_nor_cause(kind: Kind, tmp_path: Path) -> None:
     question = quick(1023, kind)

@@ -15,9 +15,11 @@ pytestmark = pytest.mark.skipif("diagnose" not in COMMANDS, reason="there is no 
 SECONDS = 8.0
 
 
-@pytest.mark.parametrize(("seed", "effect"), [(1501, "cogging")])
-def test_a_hidden_effect_is_named(seed: int, effect: str) -> None:
-    line = run_trial(Question(seed=seed, effect=effect, seconds=SECONDS))
+@pytest.mark.parametrize(
+    ("seed", "effect", "measured"), [(1501, "cogging", False), (1507, "transport_delay", True)]
+)
+def test_a_hidden_effect_is_named(seed: int, effect: str, *, measured: bool) -> None:
+    line = run_trial(Question(seed=seed, effect=effect, seconds=SECONDS, measured=measured))
     assert line["failure"] == ""
     assert line["score"]["in_set"], line["score"]["named"]
 

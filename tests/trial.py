@@ -5,6 +5,7 @@
     python -m tests.trial --seed 7 --effect cogging --multiple 4
     python -m tests.trial --seed 7 --channels load          command and load encoder alone
     python -m tests.trial --seed 7 --wire                   recorded by the bench over a real wire
+    python -m tests.trial --seed 7 --measured               imported from CSV, without phases
 
 The seed draws effect, size, rig, noise, and excitation. The diagnosis runs in another process,
 which is given two recordings and the nominal rig; its verdict is written; then the seal is opened
@@ -89,6 +90,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--period-s", type=float, default=PERIOD_S)
     parser.add_argument("--wire", action="store_true")
+    parser.add_argument("--measured", action="store_true", help="handed over as imported CSV")
     parser.add_argument("--forced", action="store_true", help="fit the true causes too, afterwards")
     parser.add_argument("--json", type=Path, help="write the trial's line to this file")
     parser.add_argument("--keep", type=Path, help="keep recordings and verdict in this new folder")

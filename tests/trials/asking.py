@@ -33,6 +33,7 @@ class Campaign:
     first_seed: int = JUDGING_FROM
     seconds: float = SECONDS
     period_s: float = PERIOD_S
+    measured: bool = False
 
     def questions(self) -> list[Question]:
         """All trials; ConfigError where a count does not fit into its block of seeds."""
@@ -75,6 +76,7 @@ class Campaign:
             channels=channels,
             seconds=self.seconds,
             period_s=self.period_s,
+            measured=self.measured,
         )
 
     def _check(self) -> None:

@@ -38,7 +38,8 @@ CAN_BE_REMOVED = tuple(hiding.name for hiding in IN_THE_CATALOGUE if not hiding.
 
 @dataclass(frozen=True)
 class Question:
-    """One trial. `effect` narrows the draw; `multiple` sets its size instead of its range's."""
+    """One trial. `effect` narrows the draw; `multiple` sets its size instead of its range's.
+    `measured` ones are handed over as another bench would, without a run's phases."""
 
     seed: int
     kind: Kind = "one"
@@ -48,6 +49,7 @@ class Question:
     seconds: float = SECONDS
     period_s: float = PERIOD_S
     wire: bool = False
+    measured: bool = False
 
     def __post_init__(self) -> None:
         """Raises ConfigError for a question that cannot be asked."""
@@ -62,6 +64,11 @@ class Question:
             raise ConfigError(
                 f"multiple = {self.multiple:g}: limits are those of one named effect, recorded "
                 "without a wire. Give kind one and --effect NAME."
+            )
+        if self.wire and self.measured:
+            raise ConfigError(
+                "what is recorded over the wire is a run of this bench: leave --wire or --measured "
+                "away."
             )
         if self.wire and (self.period_s != PERIOD_S or self.effect is not None):
             raise ConfigError(

@@ -3,7 +3,7 @@
     seen.mcap, holdout.mcap, rig.toml      in a folder of their own
 
 Recorded straight from the truth plant, or by the bench over a real wire from a rig whose plant is
-the truth (`wired.py`).
+the truth (`wired.py`), or written and imported as another bench's data are (`measured.py`).
 """
 
 from pathlib import Path
@@ -20,6 +20,7 @@ from servo_bench.rig import Limits, NominalConfig, RigConfig, SimulatedConfig, l
 from servo_bench.run.session import run
 from sim_rig.process import spawn
 from tests.trials.drawing import Question
+from tests.trials.measured import cut_of, write_measured
 from tests.trials.names import Channels
 from tests.truth import hidden
 from tests.truth.hidden import Sealed
@@ -58,7 +59,10 @@ def hand_over(question: Question, sealed: Sealed, folder: Path) -> Handed:
                 take=take,
                 sized_for_rad_s=question.plan.velocity_rad_s,
             )
-            _write(recording, experiment, rig, path, question.channels)
+            if question.measured:
+                write_measured(recording, path, question.channels, cut_of(question.seed, take))
+            else:
+                _write(recording, experiment, rig, path, question.channels)
     return handed
 
 

@@ -1,7 +1,7 @@
 """Verdicts on measured data from four other benches; skipped where the folder is absent.
 
 What must come out is what those who measured say, or another part of their data: the cogging map
-held at standstill, the play that a thesis publishes.
+held at standstill, the play that a thesis publishes. They are judged as the command judges them.
 """
 
 from dataclasses import replace
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from servo_bench.diagnosis.concluding import conclude
 from servo_bench.diagnosis.elsewhere import diagnose_open, is_open
 from servo_bench.diagnosis.verdict import Verdict
 from servo_bench.errors import ConfigError, FitError
@@ -48,7 +49,7 @@ def lines_of(verdict: Verdict) -> dict[float, float]:
 def test_cogging_of_the_direct_drive_is_that_of_its_static_map() -> None:
     recording = laas("acc_current")
     assert is_open(recording)
-    verdict = diagnose_open([recording], only=TARGETED)
+    verdict = conclude([recording], only=TARGETED).verdict
     order, amplitude_a = static_map()
     assert order == 72
     assert {"coulomb", "cogging"} <= set(verdict.names)
@@ -64,7 +65,7 @@ def test_a_pendulum_on_a_position_loop_has_weight_and_friction_that_grows_with_l
     measured("bam_xl330/2026-01-15_10h28m10.json")
     names = sorted(p.stem[-8:] for p in (REALDATA / "bam_xl330").glob("*.json"))
     recordings = [bam(name) for name in names]
-    verdict = diagnose_open(recordings)
+    verdict = conclude(recordings).verdict
     assert {"load_dependent_friction", "gravity_imbalance"} <= set(verdict.names)
     assert "stribeck" not in verdict.names
     plant = recordings[0].plant
@@ -78,7 +79,7 @@ def test_a_pendulum_on_a_position_loop_has_weight_and_friction_that_grows_with_l
 
 
 def test_nothing_is_invented_where_quantised_speed_is_all_there_is() -> None:
-    verdict = diagnose_open([undcmotor("prbs_open_exp")])
+    verdict = conclude([undcmotor("prbs_open_exp")]).verdict
     assert (verdict.verdict, verdict.causes) == ("none", ())
     assert "Nothing pays" in verdict.sentence
 
@@ -86,7 +87,7 @@ def test_nothing_is_invented_where_quantised_speed_is_all_there_is() -> None:
 @pytest.mark.parametrize(("name", "play_deg"), CYCLOIDAL.items())
 def test_play_of_a_locked_gear(name: str, play_deg: float) -> None:
     """Against the figure that was published, and by how much it beats a linear spring."""
-    verdict = diagnose_open([cycloidal(name)])
+    verdict = conclude([cycloidal(name)]).verdict
     (cause,) = verdict.causes
     assert cause.effect == "backlash_width"
     found = float(np.rad2deg(cause.parameters["change_rad"].value))
@@ -126,6 +127,21 @@ def test_friction_of_a_known_motor_is_found_in_amperes_and_absent_where_there_is
     assert cause.parameters["torque_nm"].unit == "A"
     assert cause.parameters["torque_nm"].value == pytest.approx(0.15, rel=0.1)
     assert "coulomb" not in diagnose_open([spun(driven(1), 0.0, 2)], only=TARGETED).names
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_motor_that_turns_evenly_where_it_is_judged_tells_nothing(seed: int) -> None:
+    """Else what it is named for is its noise."""
+    current = np.concatenate((driven(seed)[:10_000], np.full(5_000, 0.4)))
+    recording = spun(current, 0.0, seed)
+    rough = np.random.default_rng(seed).normal(size=current.size)
+    angle = recording["motor_position_rad"] + 3e-3 * rough
+    channels = {n: v for n, v in recording.channels.items() if n != "motor_velocity_rad_s"}
+    noisy = replace(recording, channels={**channels, "motor_position_rad": angle})
+    verdict = diagnose_open([noisy])
+    assert (verdict.verdict, verdict.causes) == ("unknown", ())
+    assert "does not rise above its noise" in verdict.sentence
+    assert verdict.next_run
 
 
 def test_what_cannot_be_judged_is_said() -> None:

@@ -142,7 +142,7 @@ def compare(
     current = _current(rows, model) if name in ("mechanics", "controller") else None
     window_s = _window(name, window_s)
     source = Source(name, rows, current if name == "mechanics" else None)
-    signals = tuple(_signals(name, rows, model))
+    signals = tuple(_signals(source, model))
     if scales:
         signals = tuple(_scaled(signals, rows, scales))
     stride = max(1, round(INCREMENT_S / rows.period_s)) if window_s is not None else 1
@@ -219,10 +219,13 @@ def _current(rows: Rows, model: Model) -> Array:
     return rows.channel(name) * per_unit
 
 
-def _signals(block: Name, rows: Rows, model: Model) -> Iterator[Signal]:
+def _signals(source: Source, model: Model) -> Iterator[Signal]:
+    block, rows = source.block, source.rows
+    shown = _shown(source, model) if block == "loop" and "phase" not in rows.recording else {}
+
     def angle(name: str, channel: str) -> Iterator[Signal]:
         if rows.has(channel):
-            floor = floor_of(rows, channel, increments=True)
+            floor = floor_of(rows, channel, increments=True, simulated=shown.get(channel))
             stride_s = max(rows.period_s, INCREMENT_S if block == "mechanics" else 0.0)
             yield Signal(name, "rad/s", channel, channel, True, floor / stride_s)
 
@@ -237,13 +240,25 @@ def _signals(block: Name, rows: Rows, model: Model) -> Iterator[Signal]:
     if block in ("loop", "controller"):
         for name in EFFORTS:
             if rows.has(name):
-                floor = floor_of(rows, name, increments=False)
-                if name in CURRENTS:
-                    yield Signal("current", "A", name, "current_a", False, floor)
-                else:
-                    k_t = model.nominal.torque_constant_nm_per_a
-                    yield Signal("torque", "N m", name, "current_a", False, floor, k_t)
+                k_t = 1.0 if name in CURRENTS else model.nominal.torque_constant_nm_per_a
+                current = k_t * shown["current_a"] if shown else None
+                floor = floor_of(rows, name, increments=False, simulated=current)
+                kind = ("current", "A") if name in CURRENTS else ("torque", "N m")
+                yield Signal(*kind, name, "current_a", False, floor, k_t)
                 return
+
+
+def _shown(source: Source, model: Model) -> dict[str, Array]:
+    """What the model shows at every row, by channel; nothing where it cannot be run."""
+    shown: dict[str, Array] = {}
+    for piece in source.pieces(None):
+        try:
+            played = source.play(model, piece)
+        except SimRigError:
+            return {}
+        for name, values in played.items():
+            shown.setdefault(name, np.full(len(source.rows.t_s), np.nan))[piece.rows] = values
+    return shown
 
 
 def _scaled(signals: Sequence[Signal], rows: Rows, scales: Sequence[int]) -> Iterator[Signal]:

@@ -48,9 +48,9 @@ def conclude(
     ConfigError where no rig is known and the data are not from elsewhere, or where the recordings
     do not go together.
     """
-    check_alike(recordings, held_out)
     config = rig if rig is not None else recordings[0].rig
     elsewhere = config is None and all(is_open(one) for one in recordings)
+    check_alike(recordings, held_out, one_period=not elsewhere)
     model = config.model() if config is not None else None if elsewhere else believed(recordings)
     try:
         if model is None:

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from servo_bench.diagnosis.allowance import SCALES, allowed
 from servo_bench.diagnosis.comparison import Choice, Comparison, compare
-from servo_bench.diagnosis.rows import Array, Mask
-from servo_bench.excitation.experiment import Phase
+from servo_bench.diagnosis.rows import Array, Mask, rows_of
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 
@@ -183,21 +182,20 @@ def quick_evidence(
     """Only the recordings' beginnings are fitted; judged by what is held out of them, to its end.
 
     A validation is played from the recording's start, because clocks and warmth count from there.
+    What is no longer than its own beginning, and has no validation, is fitted as a whole is.
     """
+    if any("phase" not in r and len(r) <= rows for r in recordings):
+        return evidence_of(recordings, model, block=block)
     short = [beginning(r, rows) for r in recordings]
-    if any(_validation(r) is None for r in recordings):
-        return evidence_of(short, model, block=block)
     judging = evidence_of(recordings, model, block=block).fitted
     fitted = tuple(compare(r, model, judging[0].block, scales=SCALES) for r in short)
     return Evidence(fitted, judging, fitted_whole=True)
 
 
-def _validation(recording: Recording) -> int | None:
-    """The first row of the validation."""
-    if "phase" not in recording:
-        return None
-    rows = np.flatnonzero(recording["phase"] == Phase.VALIDATION)
-    return int(rows[0]) if rows.size else None
+def _kept_back(recording: Recording) -> int:
+    """The first row that judges: the validation's, or where there is none the last quarter's."""
+    held_out = rows_of(recording).held_out
+    return int(np.argmax(held_out)) if held_out.any() else len(recording)
 
 
 def _resting(recording: Recording) -> int:
@@ -208,13 +206,12 @@ def _resting(recording: Recording) -> int:
 
 
 def beginning(recording: Recording, rows: int) -> Recording:
-    """The first rows of a recording, none of its validation, for quick looks.
+    """The first rows of a recording, none of those that judge, for quick looks.
 
     A rest that is longer than `RESTING` of them, before anything moves, comes beside.
     """
-    first = _validation(recording)
     rows += max(_resting(recording) - round(RESTING * rows), 0)
-    rows = min(rows, len(recording) if first is None else first)
+    rows = min(rows, _kept_back(recording))
     if len(recording) <= rows:
         return recording
     return replace(recording, channels={n: v[:rows] for n, v in recording.channels.items()})

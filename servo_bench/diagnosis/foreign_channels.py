@@ -6,6 +6,7 @@ position shows.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -57,8 +58,33 @@ def kind_of(recording: Recording) -> Kind | None:
 
 
 def is_open(recording: Recording) -> bool:
-    """Whether it came from elsewhere, with an effort and the motion (or twist) that it caused."""
-    return recording.rig is None and kind_of(recording) is not None
+    """Whether it came from elsewhere, with an effort and the motion (or twist) that it caused, or
+    with the commands of a loop that is known."""
+    return recording.rig is None and (kind_of(recording) is not None or can_be_looped(recording))
+
+
+def can_be_looped(recording: Recording) -> bool:
+    """Whether the position loop that commanded it is known, and its position was recorded."""
+    plant = recording.plant
+    if plant is None or plant.position_loop is None or plant.output_locked:
+        return False
+    needed = ("position_command_rad", "motor_position_rad")
+    return all(name in recording and np.isfinite(recording[name]).any() for name in needed)
+
+
+def with_voltage(recording: Recording) -> Recording:
+    """With the voltage that its position loop gave, u = gain (command - angle) within its limit,
+    where no effort was recorded; else the recording as it is."""
+    loop = recording.plant.position_loop if recording.plant is not None else None
+    known = any(np.isfinite(recording[name]).any() for name in EFFORTS if name in recording)
+    if loop is None or known or not can_be_looped(recording):
+        return recording
+    off = np.asarray(
+        recording["position_command_rad"] - recording["motor_position_rad"], np.float64
+    )
+    most = loop.voltage_limit_v if loop.voltage_limit_v is not None else np.inf
+    voltage = np.clip(loop.proportional_gain_v_per_rad * off, -most, most)
+    return replace(recording, channels={**recording.channels, "voltage_v": voltage})
 
 
 def effort_of(recording: Recording) -> str:

@@ -19,6 +19,7 @@ from servo_bench.diagnosis.foreign_channels import (
     effort_of,
     stretches,
     torque_of,
+    with_voltage,
 )
 from servo_bench.diagnosis.twist import compare_locked
 from servo_bench.errors import ConfigError, FitError
@@ -38,7 +39,7 @@ def starting_model(recording: Recording) -> Model:
     """From the recording's plant and its data.
 
     Raises ConfigError where the recording is of a rig of its own kind, FitError where neither an
-    effort with its motion nor a locked output was recorded.
+    effort with its motion, nor a position loop of known gain, nor a locked output was recorded.
     """
     plant = recording.plant
     if plant is None:
@@ -48,6 +49,7 @@ def starting_model(recording: Recording) -> Model:
         )
     if plant.output_locked:
         return _locked(recording)
+    recording = with_voltage(recording)
     effort = effort_of(recording)
     told = plant.torque_constant_nm_per_a or 1.0
     inertia, torque_constant, drag = _inertia(recording, plant, effort, told)

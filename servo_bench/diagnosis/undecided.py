@@ -18,7 +18,7 @@ EFFORTS = ("current_a", "motor_torque_nm", "motor_current_a", "torque_nm")
 COMMAND = "velocity_command_rad_s"
 ENOUGH_S = 10.0
 """Below this, identification and validation together are short for any effect."""
-SLOW_PERIOD_S = 0.004
+SLOW_PERIOD_S, LOGGERS = 0.004, 2.0
 SAME_SIZE = 0.02
 """Sizes of a command that differ by less are one."""
 RECOMMENDED = (
@@ -44,8 +44,19 @@ def check_effects(*names: Collection[str]) -> None:
         )
 
 
-def check_alike(recordings: Sequence[Recording], held_out: Recording | None = None) -> None:
-    """ConfigError where recordings of one diagnosis do not bring the same signals and period."""
+def check_alike(
+    recordings: Sequence[Recording],
+    held_out: Recording | None = None,
+    *,
+    one_period: bool = True,
+) -> None:
+    """ConfigError where recordings of one diagnosis do not bring the same signals and period.
+
+    Data from elsewhere come as fast as their logger was: each has a clock of its own, and a period
+    that is no more than its median (`one_period=False`). Signals are compared over so many rows, so
+    one may be twice another.
+    """
+    most = 1.001 if one_period else LOGGERS
     every = [*recordings, *([held_out] if held_out is not None else [])]
     first = every[0]
     for number, other in enumerate(every[1:], 2):
@@ -56,16 +67,22 @@ def check_alike(recordings: Sequence[Recording], held_out: Recording | None = No
                 "signals of one diagnosis are compared alike in all of them. Record the same "
                 "channels, or diagnose them one by one."
             )
-        if not np.isclose(first.period_s, other.period_s, rtol=1e-3):
+        slower, faster = sorted((first.period_s, other.period_s), reverse=True)
+        if slower > most * faster:
             raise ConfigError(
                 f"recording 1 has a period of {first.period_s:g} s and recording {number} of "
-                f"{other.period_s:g} s: give recordings of one period."
+                f"{other.period_s:g} s: give recordings of one period"
+                f"{'' if one_period else ', or nearly so'}."
             )
 
 
 def _signals(recording: Recording) -> tuple[str, ...]:
     """The channels that count, of which anything came."""
-    named = [n for n in (COMMAND, *ANGLES, *EFFORTS) if n in recording]
+    return _came(recording, COMMAND, *ANGLES, *EFFORTS)
+
+
+def _came(recording: Recording, *names: str) -> tuple[str, ...]:
+    named = [n for n in names if n in recording]
     return tuple(n for n in named if np.isfinite(np.asarray(recording[n], np.float64)).any())
 
 
@@ -94,10 +111,11 @@ def _sentence(error: Exception) -> str:
 def _lacking(recording: Recording) -> Iterator[str]:
     """What every diagnosis needs, and this recording has not."""
     there = _signals(recording)
-    if COMMAND not in there and not set(EFFORTS) & set(there):
+    if not _came(recording, COMMAND, *EFFORTS, "voltage_v", "position_command_rad"):
         yield (
-            "Neither a velocity command nor a current or torque was recorded: what moved the rig "
-            "is not known, so no model can be played beside it. Record velocity_command_rad_s."
+            "Neither a velocity command nor a current, torque or voltage was recorded: what moved "
+            "the rig is not known, so no model can be played beside it. Record "
+            "velocity_command_rad_s."
         )
     if not set(ANGLES) & set(there):
         yield (

@@ -5,11 +5,11 @@ from collections.abc import Collection, Sequence
 
 from servo_bench.diagnosis.elsewhere.locked import judge_locked
 from servo_bench.diagnosis.elsewhere.locked_verdict import locked_verdict
-from servo_bench.diagnosis.elsewhere.looped import can_be_looped, judge_looped
+from servo_bench.diagnosis.elsewhere.looped import judge_looped
 from servo_bench.diagnosis.elsewhere.looped_verdict import looped_verdict
 from servo_bench.diagnosis.elsewhere.mechanics import judge_mechanics
 from servo_bench.diagnosis.elsewhere.mechanics_verdict import mechanics_verdict
-from servo_bench.diagnosis.foreign_channels import kind_of
+from servo_bench.diagnosis.foreign_channels import can_be_looped, kind_of
 from servo_bench.diagnosis.verdict import Verdict
 from servo_bench.errors import ConfigError, FitError
 from servo_bench.recording.recording import Recording
@@ -54,9 +54,9 @@ def diagnose_open(
         verdict = mechanics_verdict(finding)
     else:
         raise FitError(
-            f"neither an effort with its motion nor a locked output is among "
-            f"{', '.join(sorted(recordings[0].channels))}. Map a current, torque or voltage, and "
-            "the motor's position or velocity."
+            "neither an effort with its motion, nor a position loop of known gain, nor a locked "
+            f"output is among {', '.join(sorted(recordings[0].channels))}. Map a current, torque "
+            "or voltage, and the motor's position or velocity."
         )
     return _sober(Verdict(**{**dict(verdict), "seconds": time.perf_counter() - began}))
 

@@ -70,17 +70,6 @@ class LoopedFinding:
     left_out: int
 
 
-def can_be_looped(recording: Recording) -> bool:
-    """Whether the loop that commanded it is known, and its position was recorded."""
-    plant = recording.plant
-    return (
-        plant is not None
-        and plant.position_loop is not None
-        and not plant.output_locked
-        and {"position_command_rad", "motor_position_rad"} <= set(recording.channels)
-    )
-
-
 def judge_looped(
     recordings: Sequence[Recording],
     held_out: Recording | None = None,
@@ -169,8 +158,11 @@ def _evidence(recordings: Sequence[Recording], model: Model, first: Recording) -
 
 
 def _comparison(recording: Recording, model: Model, first: Recording) -> DrivenComparison:
-    """Seen through its own loop: gains differ between recordings of one motor."""
-    made = compare_driven(recording, model, "loop", None, scales=SCALES)
+    """Seen through its own loop: gains differ between recordings of one motor. What lies behind the
+    motor is left out."""
+    kept = {name: v for name, v in recording.channels.items() if name != "load_angle_rad"}
+    motor = replace(recording, channels=kept)
+    made = compare_driven(motor, model, "loop", None, scales=SCALES)
     return replace(made, view=_through(made.view, _gain(recording) / _gain(first)))
 
 

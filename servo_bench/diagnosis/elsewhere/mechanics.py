@@ -47,6 +47,7 @@ class MechanicsFinding:
     before: float
     after: float
     floor: float
+    moved: float
     fit_before: float
     fit_after: float
 
@@ -98,7 +99,9 @@ def judge_mechanics(
     weight = weights(judged.rows, judged.rows.left - judged.matrix @ selected.coefficients)[here]
     if not weight.any():
         raise FitError("the held-out part never moves: give one in which the motor turns.")
-    before, after = (float(np.sqrt(np.average(e**2, weights=weight > 0.0))) for e in errors)
+    before, after, moved = (
+        float(np.sqrt(np.average(e**2, weights=weight > 0.0))) for e in (*errors, left)
+    )
     about = float(np.sum((left * weight) ** 2))
     fits = [1.0 - float(np.sum((e * weight) ** 2)) / about for e in errors]
     return MechanicsFinding(
@@ -110,7 +113,8 @@ def judge_mechanics(
         covariance=_covariance(selected),
         before=before,
         after=after,
-        floor=noise_share(rows) * float(rows.left.std()),
+        floor=noise_share(judged.rows) * float(judged.rows.left.std()),
+        moved=moved,
         fit_before=fits[0],
         fit_after=fits[1],
     )

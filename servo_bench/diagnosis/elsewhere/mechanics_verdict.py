@@ -12,30 +12,34 @@ from servo_bench.diagnosis.foreign_channels import Array
 from servo_bench.diagnosis.free import unit_of
 from servo_bench.diagnosis.verdict import Cause, ErrorFigures, Quantity, Verdict
 
+QUIET = 1.5
+"""An acceleration of no more than so many of its noise floor tells of nothing but the noise."""
 UNITS = {"current_a": "A", "motor_current_a": "A", "voltage_v": "V"}
 
 
 def mechanics_verdict(found: MechanicsFinding) -> Verdict:
     """Named causes with sizes, or none with the reason."""
-    causes = tuple(_causes(found))
+    quiet = _is_quiet(found)
+    causes = () if quiet else tuple(_causes(found))
     explainable = found.before**2 - found.floor**2
     share = (found.before**2 - found.after**2) / explainable if explainable > 0.0 else 0.0
     error = ErrorFigures(
         before=found.before,
-        after=found.after,
+        after=found.before if quiet else found.after,
         noise_floor=found.floor,
-        share_explained=float(np.clip(share, 0.0, 1.0)),
+        share_explained=0.0 if quiet else float(np.clip(share, 0.0, 1.0)),
         signal="motor acceleration",
         unit="rad/s2",
     )
     split = next((c.splitting_experiment for c in causes if c.splitting_experiment), "")
     return Verdict(
-        verdict="named" if causes else "none",
-        sentence=_sentence(found, causes, error),
+        verdict="named" if causes else "unknown" if quiet else "none",
+        sentence=_of_the_noise(found) if quiet else _sentence(found, causes, error),
         causes=causes,
         error=error,
         notes=tuple(_notes(found)),
-        next_run=split,
+        undecided=("Whatever needs an acceleration to show.",) if quiet else (),
+        next_run="Drive it with steps both ways, to the recording's end." if quiet else split,
         effects={c.effect: {n: q.value for n, q in c.parameters.items()} for c in causes},
         nuisances=_nuisances(found),
     )
@@ -137,6 +141,19 @@ def _notes(found: MechanicsFinding) -> Iterator[str]:
             f"The best of what was refused is {refused.term.name}: {100.0 * refused.share:.1f} % "
             f"of the held-out error, z = {refused.z:.1f}."
         )
+
+
+def _is_quiet(found: MechanicsFinding) -> bool:
+    """Whether the motor hardly changed its speed where no fit saw it."""
+    return 0.0 < found.moved <= QUIET * found.floor
+
+
+def _of_the_noise(found: MechanicsFinding) -> str:
+    return (
+        "Nothing can be decided: on the rows that no fit saw the motor turns so evenly that its "
+        f"acceleration (rms {found.moved:.2g} rad/s2) does not rise above its noise "
+        f"({found.floor:.2g} rad/s2)."
+    )
 
 
 def _sentence(found: MechanicsFinding, causes: tuple[Cause, ...], error: ErrorFigures) -> str:

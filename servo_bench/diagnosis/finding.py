@@ -134,10 +134,10 @@ def find_causes(
     )
     now, named, absorbed, rounds = _rounds(quick, base, candidates, scales, report)
     report("joint fit on everything")
-    whole = evidence_of(recordings, model, block=block)
+    whole = evidence_of(recordings, now.model, block=block)
     if lost.rows and heard_after_all(whole, told[0], now, block):
         recordings, held_out, lost = *told, LostCommands((), lost.changes)
-        whole = evidence_of(recordings, model, block=block)
+        whole = evidence_of(recordings, now.model, block=block)
     final, named = fit_jointly(whole, now, named, band, report)
     if not named:  # a line of its error may repeat with the shaft by chance
         final = with_coasting(whole, final)

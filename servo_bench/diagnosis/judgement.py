@@ -298,8 +298,7 @@ def _error(finding: Finding, model: Model) -> ErrorFigures | None:
     judge = finding.held_out or finding.recordings[0]
     whole = finding.held_out is not None
     comparison, sent = (
-        compare(one, finding.nominal, finding.whole.fitted[0].block)
-        for one in (judge, finding.told)
+        compare(one, model, finding.whole.fitted[0].block) for one in (judge, finding.told)
     )
     where = comparison.seen | comparison.held_out if whole else comparison.held_out
     before, after = _rms(sent, finding.nominal, where), _rms(comparison, model, where)

@@ -5,12 +5,18 @@ import pytest
 
 from servo_bench.diagnosis.evidence import ASKED, Evidence, evidence_of
 from servo_bench.diagnosis.finding import find_causes, nothing_told
-from servo_bench.diagnosis.gate import is_noted, material_sizes, passes, passes_slowly
+from servo_bench.diagnosis.gate import (
+    is_material,
+    is_noted,
+    material_sizes,
+    passes,
+    passes_slowly,
+)
 from servo_bench.diagnosis.hypotheses import Scales, Trial, hypotheses
 from servo_bench.diagnosis.judgement import quantities, standard_errors, verdict_of
 from servo_bench.diagnosis.rounds import play_round
 from servo_bench.diagnosis.seeking import Found, roam, seek, settle
-from servo_bench.diagnosis.unknowns import Unknown, nuisances
+from servo_bench.diagnosis.unknowns import Unknown, nuisances, widened
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, nominal_with, recorded, with_channels
 
@@ -94,6 +100,31 @@ def test_a_spring_is_no_cause_where_nothing_is_wrong() -> None:
     assert not is_noted("coupling_compliance", np.array([0.33, 0.1]))
     assert is_noted("coupling_compliance", np.array([0.1, 0.91]))
     assert is_noted("encoder_eccentricity", np.array([0.1, 0.1]))
+
+
+@pytest.mark.parametrize(
+    ("effect", "strength", "enough"),
+    [("cogging", "torque_nm", False), ("gravity_imbalance", "torque_nm", True)],
+)
+def test_half_a_size_is_enough_where_much_is_explained_but_for_a_line(
+    effect: str, strength: str, *, enough: bool
+) -> None:
+    """Every motor has some of every line, so much of the cost or not."""
+    size = material_sizes(SCALES)[effect]
+    half, whole = (MODEL.with_effect(effect, **{strength: k * size}) for k in (0.6, 1.1))
+    assert is_material(half, effect, SCALES, held_gain=0.5) is enough
+    assert not is_material(half, effect, SCALES, held_gain=0.05)
+    assert is_material(whole, effect, SCALES, held_gain=0.05)
+
+
+@pytest.mark.parametrize("times", [0.1, 1.0, 10.0])
+def test_a_face_is_no_stiffer_than_shows_on_a_rig_of_its_size(times: float) -> None:
+    """Beyond, a load's passage through its face is shorter than a hundredth of a chip."""
+    model = Model(nominal_with(inertia_kg_m2=times))
+    (face,) = widened("contact", ("compliance_rad_per_nm",), model, 2e-3)
+    mass_kg_m2 = 0.04 * model.nominal.inertia_kg_m2
+    passage_s = np.pi * np.sqrt(face.low * mass_kg_m2)
+    assert 1e-6 < passage_s < 8e-5
 
 
 def test_a_signal_that_is_all_wrong_is_weighed_by_what_may_be_missed() -> None:

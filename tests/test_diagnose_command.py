@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from servo_bench.cli import app as cli
 from servo_bench.diagnosis.extended import extended_rig, rig_text
+from servo_bench.diagnosis.model_file import load_model, model_text
 from servo_bench.diagnosis.undecided import check_alike, open_questions, undecided
 from servo_bench.diagnosis.verdict import Verdict
 from servo_bench.errors import ConfigError, FitError
@@ -179,6 +180,25 @@ def test_what_cannot_be_decided_is_said_and_which_run_would(
     assert any(told in sentence for sentence in verdict.undecided)
     assert "design diagnosis" in verdict.next_run
     assert "nothing can be fitted" in diagnosis_report(verdict, None, recording)
+
+
+def test_data_of_another_bench_are_judged_by_a_model_of_five_numbers(tmp_path: Path) -> None:
+    """No bus, no drive, no limits: a CSV file, a map, and what the drawing says."""
+    asked = Question(seed=1507, effect="transport_delay", seconds=8.0, measured=True)
+    files = hand_over(asked, asked.sealed(), tmp_path)
+    nominal = load_rig(files.rig).model()
+    believed, mended = tmp_path / "believed.toml", tmp_path / "mended.toml"
+    believed.write_text(model_text(nominal))
+    words = ["diagnose", files.seen, "--model", believed, "--model-out", mended]
+    words += ["--only", "transport_delay"]
+    words += ["--json", tmp_path / "verdict.json"]
+    done = CliRunner().invoke(cli.app, [str(w) for w in words])
+    assert done.exit_code == 0, done.output
+    delay_s = asked.sealed().open().drawn[0].size
+    assert load_model(mended).effects["transport_delay"].delay_s == pytest.approx(delay_s, rel=0.1)
+    both = CliRunner().invoke(cli.app, [str(w) for w in [*words, "--rig", files.rig]])
+    assert both.exit_code != 0
+    assert "given both" in str(both.exception)
 
 
 def test_a_recording_that_cannot_be_fitted_ends_in_a_verdict(

@@ -3,6 +3,7 @@
 import json as json_module
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -13,13 +14,14 @@ from rich.table import Table
 
 from servo_bench.cli.output import refuse_existing, write_json, write_text
 from servo_bench.diagnosis.concluding import conclude
-from servo_bench.diagnosis.extended import extended_rig, rig_text
+from servo_bench.diagnosis.extended import extended_rig, found_model, rig_text
+from servo_bench.diagnosis.model_file import load_model, model_text
 from servo_bench.diagnosis.undecided import check_effects
 from servo_bench.diagnosis.verdict import Cause, Verdict
 from servo_bench.errors import ConfigError
 from servo_bench.recording.mcap_file import load
 from servo_bench.report.diagnosis_page import diagnosis_report
-from servo_bench.rig import RigConfig, load_rig
+from servo_bench.rig import load_rig
 
 
 def add_to(app: typer.Typer) -> None:
@@ -38,6 +40,9 @@ def diagnose(
     rig: Annotated[
         Path | None, typer.Option(help="The rig that is believed; else the recording's.")
     ] = None,
+    model: Annotated[
+        Path | None, typer.Option(help="The model that is believed, [nominal] and [effects.NAME].")
+    ] = None,
     without: Annotated[
         list[str] | None, typer.Option(help="Leave this effect out of the catalogue. Repeatable.")
     ] = None,
@@ -50,6 +55,9 @@ def diagnose(
     ] = None,
     rig_out: Annotated[
         Path | None, typer.Option(help="Write the rig with the verdict's model to this file.")
+    ] = None,
+    model_out: Annotated[
+        Path | None, typer.Option(help="Write the verdict's model (TOML) to this file.")
     ] = None,
     schema: Annotated[
         bool, typer.Option("--schema", help="Print the verdict's JSON schema, and end.")
@@ -66,25 +74,40 @@ def diagnose(
         return
     if not recordings:
         raise ConfigError("no recording is given: name one or more MCAP files, or --schema.")
-    refuse_existing(json, report, rig_out)
+    if rig is not None and model is not None:
+        raise ConfigError("--rig and --model are given both: a model has its own nominal values.")
+    refuse_existing(json, report, rig_out, model_out)
     left_out, alone = _names(without), _names(only)
     check_effects(left_out, alone)
     loaded = [load(path) for path in recordings]
     held_out = load(holdout) if holdout is not None else None
     config = load_rig(rig) if rig is not None else loaded[0].rig
     if rig_out is not None and config is None:
-        raise ConfigError("--rig-out extends a rig, and the recording has none: give --rig.")
+        raise ConfigError(
+            "--rig-out extends a rig, and the recording has none: give --rig, or write the model "
+            "alone with --model-out."
+        )
+    believed = load_model(model) if model is not None else None
     with _progress() as told:
         found = conclude(
-            loaded, rig=config, held_out=held_out, without=left_out, only=alone, report=told
+            loaded,
+            rig=config,
+            model=believed,
+            held_out=held_out,
+            without=left_out,
+            only=alone,
+            report=told,
         )
     _show(found.verdict)
     if json is not None:
         write_json(json, found.verdict.numbers())
     if report is not None:
         write_text(report, diagnosis_report(found.verdict, found.finding, loaded[0]))
-    _write_rig(rig_out, config, found.verdict)
-    for path in (json, report, rig_out):
+    if config is not None:
+        rig_of = partial(extended_rig, config)
+        _write_model(rig_out, found.verdict, lambda verdict: rig_text(rig_of(verdict)))
+    _write_model(model_out, found.verdict, lambda verdict: model_text(found_model(verdict)))
+    for path in (json, report, rig_out, model_out):
         if path is not None and path.exists():
             Console().print(f"written: {escape(str(path))}", soft_wrap=True)
 
@@ -95,8 +118,8 @@ def _names(given: Sequence[str] | None) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for name in names if name))
 
 
-def _write_rig(path: Path | None, rig: RigConfig | None, verdict: Verdict) -> None:
-    if path is None or rig is None:
+def _write_model(path: Path | None, verdict: Verdict, text: Callable[[Verdict], str]) -> None:
+    if path is None:
         return
     if not verdict.nominal:
         Console(stderr=True).print(
@@ -104,7 +127,7 @@ def _write_rig(path: Path | None, rig: RigConfig | None, verdict: Verdict) -> No
             soft_wrap=True,
         )
         return
-    write_text(path, rig_text(extended_rig(rig, verdict)))
+    write_text(path, text(verdict))
 
 
 @contextmanager

@@ -21,6 +21,7 @@ from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording
 from servo_bench.rig import RigConfig
 from sim_rig.errors import SimRigError
+from sim_rig.model import Model
 
 FAILED = (FitError, SimRigError, np.linalg.LinAlgError)
 """What an estimate may end in; stated in the verdict."""
@@ -37,6 +38,7 @@ def conclude(
     recordings: Sequence[Recording],
     *,
     rig: RigConfig | None = None,
+    model: Model | None = None,
     held_out: Recording | None = None,
     without: Collection[str] = (),
     only: Collection[str] = (),
@@ -44,14 +46,18 @@ def conclude(
 ) -> Concluded:
     """The verdict on recordings of one rig, with the error's picture and its open questions.
 
-    `rig` is what is believed, else the first recording's own; the others are as in `diagnose`.
+    `model` is what is believed, else that of `rig`, else of the first recording's own; the others
+    are as in `diagnose`.
     ConfigError where no rig is known and the data are not from elsewhere, or where the recordings
     do not go together.
     """
     config = rig if rig is not None else recordings[0].rig
-    elsewhere = config is None and all(is_open(one) for one in recordings)
+    if model is None and config is not None:
+        model = config.model()
+    elsewhere = model is None and all(is_open(one) for one in recordings)
     check_alike(recordings, held_out, one_period=not elsewhere)
-    model = config.model() if config is not None else None if elsewhere else believed(recordings)
+    if model is None and not elsewhere:
+        model = believed(recordings)
     try:
         if model is None:
             judged = diagnose_open(recordings, held_out=held_out, without=without, only=only)

@@ -74,6 +74,7 @@ def believed(recordings: Sequence[Recording]) -> Model:
     rig = recordings[0].rig if recordings else None
     if rig is None:
         raise ConfigError(
-            "the recording says nothing of its rig: give --rig RIG.toml with [nominal]."
+            "the recording says nothing of its rig: give --rig RIG.toml, or --model MODEL.toml "
+            "with [nominal]."
         )
     return rig.model()

@@ -13,6 +13,8 @@ from typing import Any
 from servo_bench.diagnosis.verdict import Verdict
 from servo_bench.errors import ConfigError
 from servo_bench.rig import NominalConfig, RigConfig, SimulatedConfig
+from sim_rig.model import Model
+from sim_rig.settings import Nominal
 
 HIDDEN = ("plant", "effects", "backlash_gap_rad")
 
@@ -35,6 +37,13 @@ def extended_rig(rig: RigConfig, verdict: Verdict) -> RigConfig:
             "simulated": simulated,
         }
     )
+
+
+def found_model(verdict: Verdict) -> Model:
+    """The verdict's model alone; ConfigError where it fitted none."""
+    if not verdict.nominal:
+        raise ConfigError("the verdict holds no model, for nothing could be fitted.")
+    return Model.from_table(Nominal(**verdict.nominal), verdict.effects)
 
 
 def rig_text(rig: RigConfig) -> str:

@@ -48,7 +48,7 @@ class Judged(NamedTuple):
 def judged(finding: Finding) -> Judged:
     """On the hold-out, or on the recording's own validation."""
     judge = finding.held_out or finding.recordings[0]
-    comparison = compare(judge, finding.nominal, finding.whole.fitted[0].block)
+    comparison = compare(judge, finding.final.model, finding.whole.fitted[0].block)
     where = comparison.held_out
     if finding.held_out is not None:
         where = where | comparison.seen

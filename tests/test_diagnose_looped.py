@@ -12,18 +12,9 @@ import pytest
 from servo_bench.diagnosis.concluding import conclude
 from servo_bench.diagnosis.elsewhere import is_open
 from servo_bench.errors import ConfigError
-from servo_bench.recording.plant import ForeignPlant, PositionLoop
+from servo_bench.recording.plant import ForeignPlant
 from servo_bench.recording.recording import Recording
-from tests.test_fit_elsewhere import (
-    FINE_S,
-    GAIN_V_PER_RAD,
-    LIMIT_V,
-    OHM,
-    PENDULUM,
-    TORQUE_CONSTANT,
-    WEIGHT_NM,
-    motor,
-)
+from tests.test_fit_elsewhere import FINE_S, HELD, WEIGHT_NM, motor
 
 SECONDS = 10.0
 
@@ -35,17 +26,8 @@ def run_of(rows: int, seed: int) -> Recording:
     first, second = np.random.default_rng(seed).uniform(0.4, 0.9, 2)
     goal = first * np.sin(math.pi * t_s) + second * np.sin(3.4 * math.pi * t_s + seed)
     made = motor(goal, rows, seed, position=True, weight=WEIGHT_NM)
-    plant = ForeignPlant(
-        name="held",
-        pendulum=PENDULUM,
-        torque_constant_nm_per_a=TORQUE_CONSTANT,
-        resistance_ohm=OHM,
-        position_loop=PositionLoop(
-            proportional_gain_v_per_rad=GAIN_V_PER_RAD, voltage_limit_v=LIMIT_V
-        ),
-    )
     channels = {**{n: made[n] for n in ("t_s", "motor_position_rad")}, "position_command_rad": goal}
-    return Recording(channels, period_s, None, None, {}, plant=plant)
+    return Recording(channels, period_s, None, None, {}, plant=HELD)
 
 
 def test_weight_and_friction_show_in_the_goal_and_the_position_alone() -> None:

@@ -32,6 +32,14 @@ PENDULUM = Pendulum(mass_kg=0.1, length_m=0.05)
 WEIGHT_NM = 0.1 * 9.80665 * 0.05
 GAIN_V_PER_RAD, LIMIT_V = 12.0, 6.0
 DRIVEN = ("J", "coulomb.torque_nm", "viscous.damping_nm_s_per_rad")
+HELD = ForeignPlant(
+    name="held",
+    pendulum=PENDULUM,
+    torque_constant_nm_per_a=TORQUE_CONSTANT,
+    resistance_ohm=OHM,
+    position_loop=PositionLoop(proportional_gain_v_per_rad=GAIN_V_PER_RAD, voltage_limit_v=LIMIT_V),
+)
+"""What the map of a pendulum on a position loop tells."""
 
 
 def motor(
@@ -108,18 +116,9 @@ def held_pendulum() -> Recording:
     t_s = np.arange(2400) * 5e-3
     command = 0.8 * np.sin(math.pi * t_s) + 0.5 * np.sin(3.4 * math.pi * t_s)
     made = motor(command, 50, 3, position=True, weight=WEIGHT_NM)
-    plant = ForeignPlant(
-        name="held",
-        pendulum=PENDULUM,
-        torque_constant_nm_per_a=TORQUE_CONSTANT,
-        resistance_ohm=OHM,
-        position_loop=PositionLoop(
-            proportional_gain_v_per_rad=GAIN_V_PER_RAD, voltage_limit_v=LIMIT_V
-        ),
-    )
     kept = {n: made[n] for n in ("t_s", "motor_position_rad", "voltage_v")}
     channels = {**kept, "position_command_rad": command}
-    return Recording(channels, 5e-3, None, None, {}, plant=plant)
+    return Recording(channels, 5e-3, None, None, {}, plant=HELD)
 
 
 @pytest.mark.parametrize("block", ["loop", "mechanics"])

@@ -5,16 +5,25 @@ the second hand of test_fit_elsewhere.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from servo_bench.diagnosis.concluding import conclude
 from servo_bench.diagnosis.elsewhere import is_open
+from servo_bench.diagnosis.foreign_channels import with_voltage
 from servo_bench.errors import ConfigError
-from servo_bench.recording.plant import ForeignPlant
+from servo_bench.recording.plant import ForeignPlant, PositionLoop
 from servo_bench.recording.recording import Recording
-from tests.test_fit_elsewhere import FINE_S, HELD, WEIGHT_NM, motor
+from tests.test_fit_elsewhere import (
+    FINE_S,
+    GAIN_V_PER_RAD,
+    HELD,
+    LIMIT_V,
+    WEIGHT_NM,
+    motor,
+)
 
 SECONDS = 10.0
 
@@ -50,3 +59,17 @@ def test_a_goal_without_a_gain_is_no_loop() -> None:
     assert not is_open(unknown)
     with pytest.raises(ConfigError, match="says nothing of its rig"):
         conclude([unknown])
+
+
+def test_the_voltage_of_a_loop_is_its_gain_times_what_it_is_off_within_its_limit() -> None:
+    recording = run_of(50, 1)
+    off = recording["position_command_rad"] - recording["motor_position_rad"]
+    told = with_voltage(recording)["voltage_v"]
+    within = np.abs(GAIN_V_PER_RAD * off) < LIMIT_V
+    np.testing.assert_allclose(told[within], GAIN_V_PER_RAD * off[within])
+    assert np.abs(told).max() <= LIMIT_V
+    free = PositionLoop(proportional_gain_v_per_rad=GAIN_V_PER_RAD)
+    unlimited = replace(recording, plant=HELD.model_copy(update={"position_loop": free}))
+    np.testing.assert_allclose(with_voltage(unlimited)["voltage_v"], GAIN_V_PER_RAD * off)
+    measured = replace(recording, channels={**recording.channels, "voltage_v": 2.0 * told})
+    assert with_voltage(measured) is measured

@@ -24,8 +24,9 @@ MOST_OF_IT, MUCH = 0.5, 0.1
 """Who explains so much of what was seen need not be as sure on the rest."""
 HALF, A_FIFTH = 0.5, 0.2
 LINES = frozenset({"cogging", "torque_ripple"})
-"""A line at an order of the shaft is like nothing else, so that their sizes are but a few times
-what every rig of the trials has beside its drawing (0.13 mN m), and half is not enough."""
+"""A line at an order of the shaft is like nothing else, so that their sizes are low: from little
+more than what every rig of the trials has beside its drawing (0.13 mN m) to six times that, by the
+rig's torque. Half of them is not enough."""
 
 
 def material_sizes(s: Scales) -> dict[str, float]:

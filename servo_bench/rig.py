@@ -395,6 +395,15 @@ class RigConfig(Value):
                 stuck_travel_rad=drive.stuck_travel_rad,
             )
 
+    def command_after_s(self, period_s: float) -> float:
+        """From a slot's ask until the drive has its command: zero but on a serial line.
+
+        ConfigError where the drive's profile is not at hand, or the line cannot hold `period_s`.
+        """
+        if not isinstance(self.drive, ModbusDriveConfig):
+            return 0.0
+        return self.modbus_settings(period_s).command_after_s
+
     def counter_settings(self, period_s: float) -> CounterSettings | None:
         """What the serial counter needs; None without one.
 

@@ -220,6 +220,7 @@ def test_time_and_memory_are_the_diagnosis_own(tmp_path: Path) -> None:
         ({"kind": "removed", "effect": "gravity"}, "cannot hide 'gravity'"),
         ({"multiple": 4.0}, "limits are those of one named effect"),
         ({"wire": True, "effect": "cogging"}, "the seed alone says what is hidden"),
+        ({"bus": "modbus-rtu"}, "Give --wire too"),
     ],
 )
 def test_a_question_that_cannot_be_asked_says_why(asked: dict[str, Any], said: str) -> None:

@@ -5,6 +5,7 @@
     python -m tests.trial --seed 7 --effect cogging --multiple 4
     python -m tests.trial --seed 7 --channels load          command and load encoder alone
     python -m tests.trial --seed 7 --wire                   recorded by the bench over a real wire
+    python -m tests.trial --seed 7 --wire --bus serial-counter     or modbus-rtu, modbus-tcp
     python -m tests.trial --seed 7 --measured               imported from CSV, without phases
 
 The seed draws effect, size, rig, noise, and excitation. The diagnosis runs in another process,
@@ -24,7 +25,7 @@ from typing import Any, get_args
 
 from servo_bench.errors import ConfigError
 from tests.trials.answering import DIAGNOSE, Answer, Seal, ask, fit_the_truth, write
-from tests.trials.drawing import PERIOD_S, SECONDS, Kind, Question
+from tests.trials.drawing import PERIOD_S, SECONDS, Bus, Kind, Question
 from tests.trials.handing import hand_over
 from tests.trials.names import Channels
 from tests.trials.scoring import hidden_numbers, own_effect, score
@@ -90,6 +91,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--period-s", type=float, default=PERIOD_S)
     parser.add_argument("--wire", action="store_true")
+    parser.add_argument("--bus", choices=get_args(Bus), default="canopen")
     parser.add_argument("--measured", action="store_true", help="handed over as imported CSV")
     parser.add_argument("--forced", action="store_true", help="fit the true causes too, afterwards")
     parser.add_argument("--json", type=Path, help="write the trial's line to this file")

@@ -6,9 +6,10 @@ from typing import Literal
 
 from drivers.errors import SettingsError
 from drivers.modbus.budget import check_period
-from drivers.modbus.lines import Line, TcpLine
+from drivers.modbus.frames import request_bytes
+from drivers.modbus.lines import Line, RtuLine, TcpLine
 from drivers.modbus.plan import Plan, plan_of, unused_items
-from drivers.modbus.profile import LOAD, DriveProfile
+from drivers.modbus.profile import LOAD, TARGET, DriveProfile
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +68,17 @@ class ModbusSettings:
         plan = plan_of(drive.profile, unused)
         object.__setattr__(self, "plan", plan)
         check_period(drive.profile, self.line, plan, self.period_s)
+
+    @property
+    def command_after_s(self) -> float:
+        """From the ask until the drive has the command: the first request's bytes on a serial line.
+
+        Zero on a network, where nobody knows.
+        """
+        if not isinstance(self.line, RtuLine):
+            return 0.0
+        digits = dict(self.drive.profile.cycle.values) | {TARGET: 0}
+        return request_bytes(self.plan.exchanges[0].request(digits)) * self.line.character_s
 
     def _check_drive(self) -> None:
         drive, profile = self.drive, self.drive.profile

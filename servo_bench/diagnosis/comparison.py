@@ -12,7 +12,7 @@ simulated current times the K_T that the model had before the fit, and tells not
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,8 @@ INCREMENT_S = 0.008
 GROUP_S = 0.25
 """Errors so far apart count as independent; within a window that started wrong, none do."""
 FEWEST_POINTS = 64
+SHORTEST_S = 1e-9
+"""Between two samples: a device that read two commands at once gives them one time."""
 EFFORTS = ("current_a", "motor_torque_nm", "motor_current_a", "torque_nm")
 CURRENTS = ("current_a", "motor_current_a")
 
@@ -316,32 +318,51 @@ def taken(signal: Signal, shown: Mapping[str, Array], points: _Points, source: S
     if not signal.increments:
         return np.asarray(values[end] * signal.factor)
     if signal.stride > 1:
-        return _long(signal.stride, values, points, source)
+        return _long(signal, values, points, source)
     elapsed_s = source.rows.t_s[points.end] - source.rows.t_s[points.start]
-    return np.asarray((values[end] - values[start]) / elapsed_s)
+    return np.asarray((values[end] - values[start]) / np.maximum(elapsed_s, SHORTEST_S))
 
 
-def _long(stride: int, values: Array, points: _Points, source: Source) -> Array:
+def _long(signal: Signal, values: Array, points: _Points, source: Source) -> Array:
     """From the mean of `stride` points to that of the next ones, over their distance (Haar).
 
     The sensor's white noise falls with sqrt(stride) in it. Neighbours overlap by half, and none
-    reaches over a disturbed row.
+    reaches over a row whose time is not known. Means are over the samples that came, no fewer
+    than half of them, of what is simulated too.
     """
-    rows, first = source.rows, points.piece.first
+    stride, rows, first = signal.stride, source.rows, points.piece.first
     found = np.full(points.start.size, np.nan)
     begin = np.arange(0, points.start.size - 2 * stride + 1, max(stride // 2, 1))
     if not begin.size:
         return found
+    at = points.piece.rows
+    came = np.isfinite(rows.channel(signal.channel)[at])
+    if signal.less:
+        came &= np.isfinite(rows.channel(signal.less)[at])
     edges = np.append(points.start, points.end[-1])
     start, middle, end = edges[begin], edges[begin + stride], edges[begin + 2 * stride]
-    total = np.concatenate(([0.0], np.cumsum(values)))
-    uneven = np.concatenate(([0], np.cumsum(~rows.even)))
-    whole = uneven[end] == uneven[start]
-    early = (total[middle - first] - total[start - first]) / (middle - start)
-    late = (total[end - first] - total[middle - first]) / (end - middle)
-    apart_s = 0.5 * (rows.t_s[end] - rows.t_s[start])
-    found[begin] = np.where(whole, (late - early) / apart_s, np.nan)
+    unknown = np.concatenate(([0], np.cumsum(~rows.timed)))
+    count = _sums(came, came)
+    halves = (start - first, middle - first), (middle - first, end - first)
+    enough = unknown[end] == unknown[start]
+    means = []
+    for low, high in halves:
+        came_there = count[high] - count[low]
+        enough &= came_there >= 0.5 * (high - low)
+        means.append(
+            [
+                (total[high] - total[low]) / np.maximum(came_there, 1.0)
+                for total in (_sums(values, came), _sums(rows.t_s[at], came))
+            ]
+        )
+    (early, early_s), (late, late_s) = means
+    found[begin] = np.where(enough, (late - early) / np.maximum(late_s - early_s, 1e-9), np.nan)
     return found
+
+
+def _sums(values: NDArray[Any], came: Mask) -> Array:
+    """Cumulative sum of what came, from zero."""
+    return np.concatenate(([0.0], np.cumsum(np.where(came, values, 0.0))))
 
 
 def _whole(rows: Rows, points: _Points) -> Mask:

@@ -117,8 +117,9 @@ class Errors:
         return bool(np.isinf(self.rows).any())
 
     def robust(self) -> Array:
-        """1.4826 times the median size of every signal's error; shape (signals,)."""
-        return np.asarray(1.4826 * np.nanmedian(np.abs(self.rows), axis=1))
+        """1.4826 times the median size of every signal's error, shape (signals,); zero where none
+        of its points came."""
+        return np.array([1.4826 * _median(np.abs(row[~np.isnan(row)])) for row in self.rows])
 
     def rms(self) -> Array:
         """Root mean square of every signal's error; shape (signals,)."""
@@ -142,6 +143,10 @@ class Errors:
     def points(self) -> int:
         """How many points are known."""
         return int(np.isfinite(self.rows).sum())
+
+
+def _median(values: Array) -> float:
+    return float(np.median(values)) if values.size else 0.0
 
 
 def robust_cost(white: Array) -> Array:

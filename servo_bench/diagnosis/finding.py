@@ -43,7 +43,13 @@ from servo_bench.diagnosis.joint import (
     worth_a_name,
 )
 from servo_bench.diagnosis.orders import USUAL, OrderLine, Tone, load_lines, tone
-from servo_bench.diagnosis.readying import heard_after_all, made_ready, turns_of, whole_order
+from servo_bench.diagnosis.readying import (
+    filled_again,
+    heard_after_all,
+    made_ready,
+    turns_of,
+    whole_order,
+)
 from servo_bench.diagnosis.rounds import (
     LEAST_GAIN,
     Round,
@@ -116,9 +122,8 @@ def find_causes(
     began = time.perf_counter()
     _need_command(recordings)
     rows = rows_to_a_command(recordings) if block in ("auto", "loop") else 1
-    came, told = recordings[0], _thinned(recordings, held_out, rows)
-    ready = made_ready(*told, model, block=block, without=without, report=report)
-    recordings, held_out, lost = ready.recordings, ready.held_out, ready.lost
+    came, thin = recordings[0], _thinned(recordings, held_out, rows)
+    ready = made_ready(*thin, model, block=block, without=without, report=report)
     quick, base, scales, band = ready.quick, ready.base, ready.scales, ready.band
     motor, waves, turns = ready.motor, ready.waves, turns_of(quick)
     load = load_lines(quick.fitted[0], base.model)
@@ -133,6 +138,8 @@ def find_causes(
         only=tuple(only),
     )
     now, named, absorbed, rounds = _rounds(quick, base, candidates, scales, report)
+    ready = filled_again(ready, now.model)
+    recordings, held_out, lost, told = ready.recordings, ready.held_out, ready.lost, ready.told
     report("joint fit on everything")
     whole = evidence_of(recordings, now.model, block=block)
     if lost.rows and heard_after_all(whole, told[0], now, block):
@@ -183,14 +190,14 @@ def find_causes(
         rounds=tuple(rounds),
         misfit_before=before,
         misfit_after=misfit(whole, final.errors, _beside(whole, final.model, scales)),
-        notes=_of_the_rows(came, rows),
+        notes=(*ready.notes, *_of_the_rows(came, rows)),
         seconds=time.perf_counter() - began,
     )
 
 
 def _beside(whole: Evidence, model: Model, scales: Scales) -> Array:
     """What this very model may miss beside what every right one may, in the signals' units."""
-    return np.hypot(bounces(whole, model), unevenness(whole, model, scales.torque_nm))
+    return np.hypot(bounces(whole, model), unevenness(whole, model, scales.rig_torque_nm))
 
 
 def _need_command(recordings: Sequence[Recording]) -> None:

@@ -31,7 +31,7 @@ rig's torque. Half of them is not enough."""
 
 def material_sizes(s: Scales) -> dict[str, float]:
     """The smallest strength of each effect that is worth a name on this rig, in SI."""
-    tau, gap = s.torque_nm, s.gap_rad
+    tau, gap = s.rig_torque_nm, s.gap_rad
     return {
         "coulomb": 0.045 * tau,
         "viscous": 0.0055 * tau / s.speed_rad_s,
@@ -51,7 +51,7 @@ def material_sizes(s: Scales) -> dict[str, float]:
         "gravity_imbalance": 0.01 * tau,
         "load_torque": 0.01 * tau,
         "load_friction": 0.05 * tau,
-        "inverter_dead_time": 0.01 * s.current_a,
+        "inverter_dead_time": 0.01 * s.current_a * tau / s.torque_nm,
         "current_loop_lag": 1.1e-4,
         "velocity_filter_lag": 2.6e-4,
         "transport_delay": 1.4e-4,

@@ -54,6 +54,8 @@ LITTLE = 0.005
 SPRINGS = frozenset({"contact", "coupling_compliance"})
 CROSSING_DELAYS_S = (2e-5, 5e-5, 1e-4)
 """Of a usual rig's command, that a clock which falls behind takes away (see `crossing`)."""
+USUAL_RAD_S, USUAL_CHIP_S, USUAL_CHIPS = 3.0, 0.008, 512
+"""Of an excitation that tells causes apart: velocities anywhere between, a new one every chip."""
 DETECTED = frozenset({"missed_samples", "quantisation"})
 """Found by looking for them in the data (`hygiene`), not by trying sizes."""
 
@@ -72,6 +74,13 @@ class Scales(NamedTuple):
     inertia_kg_m2: float
     peaks_a: tuple[float, ...] = ()
     seconds: float = 0.0
+    usual_torque_nm: float = 0.0
+
+    @property
+    def rig_torque_nm(self) -> float:
+        """Rms torque of this excitation, or of a usual one where this is gentler: what a bearing
+        or a motor has of its own does not shrink with what is asked of it."""
+        return max(self.torque_nm, self.usual_torque_nm)
 
     @property
     def yielding(self) -> float:
@@ -107,7 +116,16 @@ def scales_of(model: Model, commands_rad_s: np.ndarray, done: Simulated) -> Scal
         gap_rad=nominal.backlash_gap_rad,
         inertia_kg_m2=nominal.inertia_kg_m2,
         seconds=done.end.time_s,
+        usual_torque_nm=_usual_torque_nm(model),
     )
+
+
+def _usual_torque_nm(model: Model) -> float:
+    """Rms torque that the slowest usual excitation asks of the nominal rig."""
+    chips = np.random.default_rng(0).uniform(-USUAL_RAD_S, USUAL_RAD_S, USUAL_CHIPS)
+    done = model.simulate(chips, USUAL_CHIP_S)
+    rms_a = float(np.sqrt(np.mean(done.motor_current_a**2)))
+    return rms_a * model.nominal.torque_constant_nm_per_a
 
 
 def _quantiles(values: np.ndarray, at: Sequence[float]) -> tuple[float, ...]:

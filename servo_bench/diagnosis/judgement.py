@@ -26,6 +26,7 @@ from servo_bench.diagnosis.joint import Named
 from servo_bench.diagnosis.readying import order_tolerance
 from servo_bench.diagnosis.rows import Array, Mask
 from servo_bench.diagnosis.seeking import Found
+from servo_bench.diagnosis.sensors import misread
 from servo_bench.diagnosis.verdict import Cause, ErrorFigures, Kind, Limit, Quantity, Verdict
 from sim_rig.effects import find_effect
 from sim_rig.model import Model
@@ -60,6 +61,8 @@ def verdict_of(finding: Finding) -> Verdict:
         notes.append(
             f"It resembles {', '.join(c.effect for c in causes)}, which does not explain it."
         )
+    if kind == "unknown":
+        notes += misread(finding.whole.fitted[0], finding.nominal, finding.final.model)
     model = finding.final.model if causes else finding.base.model
     error = _error(finding, model)
     return Verdict(

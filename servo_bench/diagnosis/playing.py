@@ -15,7 +15,7 @@ import numpy as np
 from servo_bench.diagnosis.rows import Array, Mask, Rows
 from servo_bench.errors import FitError
 from servo_bench.recording.blocks import Name
-from sim_rig.model import Model, controller, mechanics, transmission
+from sim_rig.model import Model, ModelState, Simulated, controller, mechanics, transmission
 
 FEWEST_ROWS = 16
 """A piece is no shorter."""
@@ -67,13 +67,7 @@ class Source(NamedTuple):
                 motor_angle_rad=piece.motor_angle_rad, load_angle_rad=piece.motor_angle_rad
             )
             commands = rows.channel("velocity_command_rad_s")[at]
-            done = model.simulate(commands, rows.durations_s[at], start)
-            return {
-                "motor_position_rad": done.motor_angle_rad,
-                "motor_velocity_rad_s": done.motor_velocity_rad_s,
-                "load_angle_rad": done.load_angle_rad,
-                "current_a": done.motor_current_a,
-            }
+            return _sampled(model, start, commands, rows, at)
         if self.block == "mechanics" and self.current_a is not None:
             motion = mechanics(
                 model,
@@ -119,6 +113,45 @@ class Source(NamedTuple):
             return Piece(first, last, float(came[0]) if came.size else 0.0)
         angle, velocity = _state(rows, first, last)
         return Piece(first, last, angle, velocity, _side(rows, first))
+
+
+def _sampled(
+    model: Model, start: ModelState, commands: Array, rows: Rows, at: slice
+) -> dict[str, Array]:
+    """The loop's channels, each at the instants at which it was sampled.
+
+    A slot is cut where a sample is taken: the same command goes on in its second part.
+    """
+    durations_s = rows.durations_s[at]
+    if not rows.after_s:
+        return _shown(model.simulate(commands, durations_s, start))
+    asks_s = np.concatenate(([0.0], np.cumsum(durations_s[:-1])))
+    end_s = asks_s[-1] + durations_s[-1]
+
+    def taken_s(*names: str) -> Array:
+        after_s = next((rows.after_s[name][at] for name in names if name in rows.after_s), 0.0)
+        return np.clip(asks_s + after_s, 0.0, end_s)
+
+    motor_s, load_s = taken_s("motor_position_rad"), taken_s("load_angle_rad")
+    current_s = taken_s("current_a", "motor_position_rad")
+    cuts_s = np.unique(np.concatenate([asks_s, motor_s, load_s, current_s]))
+    held = np.searchsorted(asks_s, cuts_s, side="right") - 1
+    lasted_s = np.diff(cuts_s, append=max(end_s, cuts_s[-1]))
+    shown = _shown(model.simulate(commands[held], lasted_s, start))
+    instants_s = {"load_angle_rad": load_s, "current_a": current_s}
+    return {
+        name: values[np.searchsorted(cuts_s, instants_s.get(name, motor_s))]
+        for name, values in shown.items()
+    }
+
+
+def _shown(done: Simulated) -> dict[str, Array]:
+    return {
+        "motor_position_rad": done.motor_angle_rad,
+        "motor_velocity_rad_s": done.motor_velocity_rad_s,
+        "load_angle_rad": done.load_angle_rad,
+        "current_a": done.motor_current_a,
+    }
 
 
 def _spans(lacking: Mask, broken: Mask) -> Iterator[tuple[int, int]]:

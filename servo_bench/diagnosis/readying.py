@@ -18,6 +18,7 @@ from servo_bench.diagnosis.orders import MotorLines, Wave, motor_lines, torque_w
 from servo_bench.diagnosis.rounds import Told
 from servo_bench.diagnosis.rows import Rows
 from servo_bench.diagnosis.seeking import Found, seek
+from servo_bench.diagnosis.times import filled, jitter_s, on_even_times, with_rows_in_holes
 from servo_bench.diagnosis.unknowns import Unknown, nuisances
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
@@ -31,7 +32,9 @@ MOST_OF_IT = 0.5
 
 
 class Ready(NamedTuple):
-    """Recordings as their drive heard them, and what is known before any cause is tried."""
+    """Recordings as their drive heard them, and what is known before any cause is tried; `told` are
+    recordings and held-out one with the commands that were sent. `holes` are their rows that never
+    came, recording by recording, the held-out one last."""
 
     recordings: tuple[Recording, ...]
     held_out: Recording | None
@@ -42,6 +45,9 @@ class Ready(NamedTuple):
     band: tuple[Unknown, ...]
     motor: MotorLines
     waves: tuple[Wave, ...]
+    told: tuple[tuple[Recording, ...], Recording | None]
+    holes: tuple[tuple[int, ...], ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def made_ready(
@@ -58,19 +64,89 @@ def made_ready(
     quick = quick_evidence(recordings, model, _quick_rows(recordings), block=block)
     longest_s = max(len(recording) * recording.period_s for recording in recordings)
     scales = _scales(quick, model)._replace(seconds=longest_s)
-    band = nuisances(scales.torque_nm, scales.speed_rad_s, scales.gap_rad)
+    band = nuisances(scales.rig_torque_nm, scales.speed_rad_s, scales.gap_rad)
     base = seek(quick, model, band, iterations=4)
+    timed = _timed(recordings, held_out, quick, base, block)
+    if timed.notes:
+        recordings, held_out = timed.recordings, timed.held_out
+        quick = quick_evidence(recordings, model, _quick_rows(recordings), block=block)
+        base = seek(quick, model, band, iterations=4)
     report("position spectrum")
     motor, waves = _waves(quick, base.model)
     known = _nearer(quick, base, waves)
     report("data hygiene")
-    lost = _lost(recordings, known, block, without)
+    lost, told = _lost(recordings, known, block, without), (recordings, held_out)
     if lost.rows:
         recordings, held_out, lost = _put_right(recordings, held_out, known, block)
         quick = quick_evidence(recordings, model, _quick_rows(recordings), block=block)
         base = seek(quick, model, band, iterations=4)
         motor, waves = _waves(quick, base.model)
-    return Ready(recordings, held_out, lost, quick, base, scales, band, motor, waves)
+    known_so_far = (lost, quick, base, scales, band, motor, waves)
+    return Ready(recordings, held_out, *known_so_far, told, timed.holes, timed.notes)
+
+
+class _Timed(NamedTuple):
+    recordings: tuple[Recording, ...]
+    held_out: Recording | None
+    holes: tuple[tuple[int, ...], ...]
+    notes: tuple[str, ...]
+
+
+def _timed(
+    recordings: tuple[Recording, ...],
+    held_out: Recording | None,
+    quick: Evidence,
+    base: Found,
+    block: Choice,
+) -> _Timed:
+    """Recordings by the clock that their motion follows, with a command for every hole."""
+    if quick.fitted[0].block != "loop":
+        return _Timed(recordings, held_out, (), ())
+    every, notes = [*recordings, *([held_out] if held_out is not None else [])], list[str]()
+    even = [on_even_times(recording) for recording in every]
+    clocked = [one or recording for one, recording in zip(even, every, strict=True)]
+    strays_s = max(
+        (jitter_s(r, one) for r, one in zip(every, even, strict=True) if one is not None),
+        default=0.0,
+    )
+    if strays_s:
+        first = tuple(clocked[: len(recordings)])
+        other = quick_evidence(first, base.model, _quick_rows(first), block=block)
+        kept = seek(other, base.model, base.unknowns, iterations=2)
+        if kept.errors.cost(base.sigma) < base.errors.cost(base.sigma):
+            every, base = clocked, kept
+            notes.append(
+                f"The rows' times stray by {strays_s * 1e3:.2g} ms (rms) from an even clock, and "
+                "the motion does not: it was compared by the even clock."
+            )
+    rowed = [with_rows_in_holes(recording) for recording in every]
+    holes = tuple(rows for _, rows in rowed)
+    missing = sum(len(rows) for rows in holes)
+    if missing:
+        every = [filled(recording, rows, base.model) for recording, rows in rowed]
+        notes.append(
+            f"{missing} times rows are missing, and with them the commands of that time: each was "
+            "taken to be what the motor's way through the hole asks for."
+        )
+    judge = every.pop() if held_out is not None else None
+    return _Timed(tuple(every), judge, holes if missing else (), tuple(notes))
+
+
+def filled_again(ready: Ready, model: Model) -> Ready:
+    """With the commands of the holes as a better model has them."""
+    if not ready.holes:
+        return ready
+
+    def better(
+        recordings: tuple[Recording, ...], held_out: Recording | None
+    ) -> tuple[tuple[Recording, ...], Recording | None]:
+        every = [*recordings, *([held_out] if held_out is not None else [])]
+        again = [filled(one, rows, model) for one, rows in zip(every, ready.holes, strict=True)]
+        judge = again.pop() if held_out is not None else None
+        return tuple(again), judge
+
+    recordings, held_out = better(ready.recordings, ready.held_out)
+    return ready._replace(recordings=recordings, held_out=held_out, told=better(*ready.told))
 
 
 def _quick_rows(recordings: Sequence[Recording]) -> int:

@@ -4,12 +4,13 @@ A command is held until the next row's ask, so that a skipped slot is the row be
 What lies beside a hole is simulated and not compared.
 """
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_bench.errors import FitError
+from servo_bench.errors import ConfigError, FitError
 from servo_bench.excitation.experiment import Phase
 from servo_bench.kernels.response import LARGEST_UNEVENNESS, slot_numbers
 from servo_bench.recording.recording import MISSING, Recording
@@ -21,13 +22,28 @@ HOLE_PERIODS = 10.0
 """Data from elsewhere are cut in two where nothing came for so long."""
 HELD_OUT_SHARE = 0.25
 """Of the time of a recording without a validation phase: its end."""
+STALL_ROWS = 64
+"""After a stall the device's times are back beside the asks within so many rows; a clock that was
+set stays off."""
+MOST_PERIODS, AT_ONCE_S = 8.0, 2e-6
+"""That a sample may be taken before or after its ask; and what is at once."""
+SAMPLED = {
+    "motor_position_rad": "motor_sampled_s",
+    "current_a": "current_sampled_s",
+    "load_angle_rad": "load_sampled_s",
+}
+"""Which channel tells how long after the ask what a model shows was sampled. A drive answers for
+all of its own at once; of a current, only data from elsewhere may tell something else."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """Arrays of shape (rows,). `even` is true where nothing is wrong from a row to the next.
+    """Arrays of shape (rows,). `even` is true where nothing is wrong from a row to the next, and
+    `timed` where how long it lasted is known, even or not.
 
-    `seen` and `held_out` are the rows that a fit may see and those that it is judged on.
+    `seen` and `held_out` are the rows that a fit may see and those that it is judged on. `after_s`
+    has, by what a model shows, how long after the command's acting it was sampled (below zero:
+    before), where that was not at once.
     """
 
     recording: Recording
@@ -35,9 +51,11 @@ class Rows:
     t_s: Array
     durations_s: Array
     even: Mask
+    timed: Mask
     broken: Mask
     seen: Mask
     held_out: Mask
+    after_s: Mapping[str, Array]
 
     def channel(self, name: str) -> Array:
         """A channel as floats of its own, NaN where a value did not come."""
@@ -55,23 +73,56 @@ def rows_of(recording: Recording) -> Rows:
             f"the recording has {len(recording)} rows: a fit needs hundreds. Record it to its end."
         )
     period_s = recording.period_s
-    durations_s, even, broken = _between(recording)
+    durations_s, even, timed, broken = _between(recording)
     durations_s, even = np.append(durations_s, period_s), np.append(even, False)
     t_s = np.concatenate(([0.0], np.cumsum(durations_s[:-1])))
     seen, held_out = _phases(recording, t_s)
-    broken = np.append(broken, True)
-    return Rows(recording, period_s, t_s, durations_s, even, broken, seen, held_out)
+    timed, broken = np.append(timed, False), np.append(broken, True)
+    after_s = dict(_after(recording))
+    return Rows(recording, period_s, t_s, durations_s, even, timed, broken, seen, held_out, after_s)
 
 
-def _between(recording: Recording) -> tuple[Array, Mask, Mask]:
-    """From each row to the next: how long, whether undisturbed, whether nothing joins them."""
+def _after(recording: Recording) -> Iterator[tuple[str, Array]]:
+    """What is sampled beside the instant at which the command acts, and by how much.
+
+    Where a row does not tell, its time is the others' median; where none does, nothing is told.
+    """
+    told = {
+        name: np.array(recording[after], np.float64)
+        for name, after in SAMPLED.items()
+        if after in recording
+    }
+    told = {name: after_s for name, after_s in told.items() if np.isfinite(after_s).any()}
+    acts_s = _acts_s(recording, told) if told else 0.0
+    for name, after_s in told.items():
+        off_s = np.where(np.isfinite(after_s), after_s, np.nanmedian(after_s)) - acts_s
+        if np.abs(off_s).max() > AT_ONCE_S:
+            most_s = MOST_PERIODS * recording.period_s
+            yield name, np.clip(off_s, -most_s, most_s)
+
+
+def _acts_s(recording: Recording, told: Mapping[str, Array]) -> float:
+    """From the ask until the drive has the command. A drive whose profile is not at hand has it
+    with the request that reads its angle, as most have."""
+    if recording.rig is None:
+        return 0.0
+    try:
+        return recording.rig.command_after_s(recording.period_s)
+    except ConfigError:
+        motor_s = told.get("motor_position_rad")
+        return float(np.nanmedian(motor_s)) if motor_s is not None else 0.0
+
+
+def _between(recording: Recording) -> tuple[Array, Mask, Mask, Mask]:
+    """From each row to the next: how long, whether undisturbed, whether the time is sure, and
+    whether nothing joins them."""
     period_s = recording.period_s
     if "asked_ns" not in recording and "t_s" in recording:
         lasted = np.diff(recording["t_s"]).astype(np.float64)
         broken = (lasted <= 0.0) | (lasted > HOLE_PERIODS * period_s)
         if "run" in recording:
             broken |= np.diff(recording["run"]) != 0
-        return np.where(broken, period_s, lasted), ~broken, broken
+        return np.where(broken, period_s, lasted), ~broken, ~broken, broken
     slots = np.diff(slot_numbers(recording))
     if (slots < 1).any():
         raise FitError(
@@ -81,20 +132,38 @@ def _between(recording: Recording) -> tuple[Array, Mask, Mask]:
     if "asked_ns" in recording:
         asked = np.diff(recording["asked_ns"]) * 1e-9
         lasted = np.where(asked > 0.0, asked, lasted)
-    lasted = _by_the_device(recording, lasted)
+    lasted, told = _by_the_device(recording, lasted)
     even = (slots == 1) & (np.abs(lasted / period_s - 1.0) <= LARGEST_UNEVENNESS)
-    return lasted, even, np.zeros(even.size, np.bool_)
+    return lasted, even, even | told, np.zeros(even.size, np.bool_)
 
 
-def _by_the_device(recording: Recording, lasted_s: Array) -> Array:
-    """The device's own times where they came, and agree with the host's."""
+def _by_the_device(recording: Recording, lasted_s: Array) -> tuple[Array, Mask]:
+    """The device's own times where they came and can be believed, and where that is.
+
+    What the host's stall delayed, the device did late: its times say so, and come back to the
+    asks. Where they jump and stay away its clock was set, and the host's time counts.
+    """
+    never = np.zeros(lasted_s.size, np.bool_)
     if "device_time_us" not in recording:
-        return lasted_s
+        return lasted_s, never
     device = recording["device_time_us"]
     told = (device[1:] != MISSING) & (device[:-1] != MISSING)
     steps = np.where(told, np.diff(np.where(device == MISSING, 0, device)), 0) * 1e-6
-    agree = told & (np.abs(steps - lasted_s) <= LARGEST_UNEVENNESS * recording.period_s)
-    return np.where(agree, steps, lasted_s)
+    off = np.where(told, steps - lasted_s, 0.0)
+    most = LARGEST_UNEVENNESS * recording.period_s
+    away, walked = np.flatnonzero(np.abs(off) > most), np.cumsum(off)
+    stays = [abs(_later(walked, k) - _earlier(walked, k)) > most for k in away.tolist()]
+    told[away[np.array(stays, np.bool_)]] = False
+    told &= steps >= 0.0
+    return np.where(told, steps, lasted_s), told
+
+
+def _earlier(walked: Array, k: int) -> float:
+    return float(np.median(walked[max(k - STALL_ROWS, 0) : k])) if k else 0.0
+
+
+def _later(walked: Array, k: int) -> float:
+    return float(np.median(walked[k + 1 : k + 1 + STALL_ROWS])) if k + 1 < walked.size else 0.0
 
 
 def _phases(recording: Recording, t_s: Array) -> tuple[Mask, Mask]:

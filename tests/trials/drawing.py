@@ -27,6 +27,8 @@ from tests.truth.hidden import Sealed
 from tests.truth.rigs import PAPER, NominalRig, drawn
 
 Kind = Literal["one", "none", "outside", "pair", "removed"]
+Bus = Literal["canopen", "modbus-rtu", "modbus-tcp", "serial-counter"]
+"""What a trial over the wire is recorded through; with a serial counter the drive is on CANopen."""
 
 SECONDS, PERIOD_S = 44.0, 0.008
 PAPER_SHARE = 0.2
@@ -39,7 +41,8 @@ CAN_BE_REMOVED = tuple(hiding.name for hiding in IN_THE_CATALOGUE if not hiding.
 @dataclass(frozen=True)
 class Question:
     """One trial. `effect` narrows the draw; `multiple` sets its size instead of its range's.
-    `measured` ones are handed over as another bench would, without a run's phases."""
+    `measured` ones are handed over as another bench would, without a run's phases; those over a
+    `wire` are recorded through `bus`."""
 
     seed: int
     kind: Kind = "one"
@@ -50,6 +53,7 @@ class Question:
     period_s: float = PERIOD_S
     wire: bool = False
     measured: bool = False
+    bus: Bus = "canopen"
 
     def __post_init__(self) -> None:
         """Raises ConfigError for a question that cannot be asked."""
@@ -69,6 +73,10 @@ class Question:
             raise ConfigError(
                 "what is recorded over the wire is a run of this bench: leave --wire or --measured "
                 "away."
+            )
+        if self.bus != "canopen" and not self.wire:
+            raise ConfigError(
+                f"bus = {self.bus!r}: what is not recorded over the wire has none. Give --wire too."
             )
         if self.wire and (self.period_s != PERIOD_S or self.effect is not None):
             raise ConfigError(

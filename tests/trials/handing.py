@@ -19,19 +19,26 @@ from servo_bench.recording.recording import MISSING, SAMPLE_DTYPE, Recording
 from servo_bench.rig import Limits, NominalConfig, RigConfig, SimulatedConfig, load_rig
 from servo_bench.run.session import run
 from sim_rig.process import spawn
-from tests.trials.drawing import Question
+from tests.trials.drawing import Bus, Question
 from tests.trials.measured import cut_of, write_measured
 from tests.trials.names import Channels
 from tests.truth import hidden
 from tests.truth.hidden import Sealed
 from tests.truth.plant import NominalValues
 
+RIGS: dict[Bus, str] = {
+    "canopen": "rigs/paper.toml",
+    "modbus-rtu": "rigs/modbus-rtu.toml",
+    "modbus-tcp": "rigs/modbus-tcp.toml",
+    "serial-counter": "rigs/serial-counter.toml",
+}
 FACTS = {"source": "a trial", "command": "servo-bench run"}
 NOMINAL = (
     *("torque_constant_nm_per_a", "inertia_kg_m2", "proportional_gain_a_s_per_rad"),
     *("integral_gain_a_per_rad", "backlash_gap_rad"),
 )
-LIMITS = Limits(velocity_rad_s=10.0, travel_rad=400.0, run_time_s=3600.0)
+LIMITS = Limits(velocity_rad_s=20.0, travel_rad=400.0, run_time_s=3600.0)
+NOT_COUNTED = ("device_time_us", "motor_position_counts")
 MOTOR_CHANNELS = ("motor_position_rad", "motor_velocity_rad_s", "motor_torque_nm")
 
 
@@ -46,7 +53,7 @@ class Handed(NamedTuple):
 def hand_over(question: Question, sealed: Sealed, folder: Path) -> Handed:
     """Record the trial into an empty folder."""
     handed = Handed(folder / "seen.mcap", folder / "holdout.mcap", folder / "rig.toml")
-    rig = nominal_rig(question.nominal)
+    rig = nominal_rig(question.nominal, question.bus)
     handed.rig.write_text(rig_text(rig))
     for take, (path, experiment) in enumerate(zip(handed, question.plan, strict=False)):
         if question.wire:
@@ -66,7 +73,7 @@ def hand_over(question: Question, sealed: Sealed, folder: Path) -> Handed:
     return handed
 
 
-def nominal_rig(nominal: NominalValues) -> RigConfig:
+def nominal_rig(nominal: NominalValues, bus: Bus = "canopen") -> RigConfig:
     """The paper's rig with these nominal values, as one would write it: nothing simulated."""
     values = {name: getattr(nominal, name) for name in NOMINAL}
     changes = {
@@ -75,7 +82,7 @@ def nominal_rig(nominal: NominalValues) -> RigConfig:
         "limits": LIMITS,
         "simulated": None,
     }
-    return load_rig("rigs/paper.toml").model_copy(update=changes)
+    return load_rig(RIGS[bus]).model_copy(update=changes)
 
 
 def _write(
@@ -97,7 +104,8 @@ def _rows(recording: Recording, channels: Channels) -> NDArray[np.void]:
             rows[name] = recording[name]
         elif kind[0].kind == "f":
             rows[name] = np.nan
-    rows["device_time_us"] = rows["motor_position_counts"] = MISSING
+        elif name in NOT_COUNTED:
+            rows[name] = MISSING
     if channels == "load":
         for name in MOTOR_CHANNELS:
             rows[name] = np.nan

@@ -1,0 +1,143 @@
+"""What a logger's own times and holes do to data from elsewhere, and how it is put right.
+
+A host stamps rows when it gets round to it, while the drive goes by its own even clock; or the
+stamps are right and the rows came unevenly. Only the motion tells: commands that last as long as
+the stamps say walk the simulated angle off by their heights times the jitter. Both are played.
+
+A row that was not written held a command that nobody knows. What the motor did over the hole and
+after it tells: the hole gets a row without samples and the one command that leads there,
+
+    de(t) = sum_j x_j h_j(t - t_j),    c_j <- c_j + x_j
+
+de: increments of the measured angle less the simulated one, h_j: those of the ideal loop's for a
+command of 1 rad/s for as long as that row lasts; x by least squares over all holes at once.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from servo_bench.diagnosis.playing import Source
+from servo_bench.diagnosis.rows import HOLE_PERIODS, Array, rows_of
+from servo_bench.recording.recording import Recording
+from sim_rig.model import Model
+
+EVEN_S = 1e-6
+"""Times that stray by less from an even clock are even."""
+STRAYS = 0.5
+"""Of a period, that a stamp may stray at most: else nobody knows which period it is of."""
+HOLE = 1.5
+"""Periods without a row that are a hole."""
+MOST_HOLES = 0.05
+"""Of the rows: beyond it there is more that nobody knows than is worth guessing."""
+ANSWER_ROWS = 24
+"""In which a loop has answered a hole's command."""
+PASSES = 2
+"""Between them it is played again: friction and play make the answer another one."""
+COMMAND = "velocity_command_rad_s"
+
+
+def on_even_times(recording: Recording) -> Recording | None:
+    """The recording on the even clock that is nearest to its stamps; None where there is none, or
+    where they are even already, or where something better than stamps tells the times."""
+    if "asked_ns" in recording or "t_s" not in recording or "run" in recording:
+        return None
+    t_s = np.asarray(recording["t_s"], np.float64)
+    steps = np.rint(np.diff(t_s) / recording.period_s)
+    if steps.size < 2 or not ((steps >= 1.0) & (steps <= HOLE_PERIODS)).all():
+        return None
+    slots = np.concatenate(([0.0], np.cumsum(steps)))
+    period_s, first_s = np.polyfit(slots, t_s - t_s[0], 1)
+    even_s = first_s + period_s * slots
+    strays_s = np.abs(t_s - t_s[0] - even_s).max()
+    if not EVEN_S < strays_s < STRAYS * period_s:
+        return None
+    channels = {**recording.channels, "t_s": t_s[0] + even_s}
+    return replace(recording, channels=channels, period_s=float(period_s))
+
+
+def jitter_s(recording: Recording, even: Recording) -> float:
+    """Root mean square of the stamps about the even clock."""
+    return float(np.std(recording["t_s"] - even["t_s"]))
+
+
+def with_rows_in_holes(recording: Recording) -> tuple[Recording, tuple[int, ...]]:
+    """With a row in every hole, a period after the last one before it, and where those rows are:
+    the command goes on, floats did not come, and whole numbers are those of the row before."""
+    holes = _holes(recording)
+    if not holes:
+        return recording, ()
+    behind = np.array(holes) + 1
+    channels = {}
+    for name, values in recording.channels.items():
+        new = values[holes]
+        if name == "t_s":
+            new = new + recording.period_s
+        elif name != COMMAND and values.dtype.kind == "f":
+            new = np.full(behind.size, np.nan)
+        channels[name] = np.insert(values, behind, new)
+    rows = (behind + np.arange(behind.size)).tolist()
+    return replace(recording, channels=channels), tuple(rows)
+
+
+def filled(recording: Recording, holes: Sequence[int], model: Model) -> Recording:
+    """The recording with the commands of those rows that lead the model where the motor went."""
+    if not holes:
+        return recording
+    for _ in range(PASSES):
+        commands = np.array(recording[COMMAND], np.float64)
+        commands[list(holes)] += _lacking(recording, model, holes)
+        recording = replace(recording, channels={**recording.channels, COMMAND: commands})
+    return recording
+
+
+def _lacking(recording: Recording, model: Model, holes: Sequence[int]) -> Array:
+    """What the command of every hole lacks, shape (holes,), rad/s."""
+    error, durations_s = _error(recording, model)
+    known = np.flatnonzero(np.isfinite(error))
+    answers = np.zeros((error.size, len(holes)))
+    for column, k in enumerate(holes):
+        until = min(k + ANSWER_ROWS, error.size)
+        answer = _answer(model, recording.period_s, float(durations_s[k]))
+        answers[k:until, column] = answer[: until - k]
+        answers[until:, column] = answer[-1]
+    wrong, moved = np.diff(error[known]), np.diff(answers[known], axis=0)
+    told = moved.any(axis=1)
+    return np.asarray(np.linalg.lstsq(moved[told], wrong[told])[0])
+
+
+def _answer(model: Model, period_s: float, hole_s: float) -> Array:
+    """The ideal loop's motor angle from a hole's row on, shape (ANSWER_ROWS,), rad."""
+    command, lasted_s = np.zeros(ANSWER_ROWS), np.full(ANSWER_ROWS, period_s)
+    command[0], lasted_s[0] = 1.0, hole_s
+    ideal = Model(model.nominal, longest_step_s=model.longest_step_s)
+    return ideal.simulate(command, lasted_s).motor_angle_rad
+
+
+def _holes(recording: Recording) -> list[int]:
+    needed = {"t_s", COMMAND} <= set(recording.channels) and _angle(recording) is not None
+    if "asked_ns" in recording or not needed:
+        return []
+    rows = rows_of(recording)
+    hole = (rows.durations_s > HOLE * rows.period_s) & ~rows.broken
+    found: list[int] = np.flatnonzero(hole).tolist()
+    return found if len(found) <= MOST_HOLES * len(recording) else []
+
+
+def _angle(recording: Recording) -> str | None:
+    """The angle that tells most of the motor's way."""
+    angles = ("motor_position_rad", "load_angle_rad")
+    there = (n for n in angles if n in recording and np.isfinite(recording[n]).any())
+    return next(there, None)
+
+
+def _error(recording: Recording, model: Model) -> tuple[Array, Array]:
+    """Of that angle at every row, NaN where nothing came; and how long every row lasted."""
+    rows, angle = rows_of(recording), _angle(recording) or ""
+    source = Source("loop", rows)
+    error = np.full(len(recording), np.nan)
+    for piece in source.pieces(None):
+        shown = source.play(model, piece)[angle]
+        error[piece.rows] = rows.channel(angle)[piece.rows] - shown
+    return error, rows.durations_s

@@ -1,6 +1,7 @@
 """When a sample was really taken: beside the command, late on the device's clock, or not at all."""
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -60,6 +61,10 @@ def test_a_command_acts_when_a_serial_drive_has_its_request() -> None:
     run = replace(recorded(MODEL, 22), rig=rig)
     asked = np.full(len(run), request_s)
     assert not rows_of(with_channels(run, motor_sampled_s=asked, load_sampled_s=asked)).after_s
+    rounded = asked + 1e-9  # one row later than all others brings none of them beside its command
+    rounded[9] += 5e-6
+    told = rows_of(with_channels(run, motor_sampled_s=rounded, load_sampled_s=asked)).after_s
+    assert np.count_nonzero(told["motor_position_rad"]) == 1
     beside = rows_of(with_channels(run, motor_sampled_s=asked, load_sampled_s=asked - 2e-4))
     assert beside.after_s["load_angle_rad"][5] == pytest.approx(-2e-4)
     assert load_rig("rigs/paper.toml").command_after_s(PERIOD_S) == 0.0
@@ -89,13 +94,31 @@ def test_what_a_stall_delayed_counts_by_the_devices_clock() -> None:
     assert np.nanmax(left(with_channels(recording, device_time_us=device))) > 5.0
 
 
+@pytest.mark.parametrize("block", ["mechanics", "transmission", "controller"])
+def test_a_stall_stops_no_open_block(
+    block: Literal["mechanics", "transmission", "controller"],
+) -> None:
+    recording, _ = stalled(23, 400, 0.052)
+    seen = compare(recording, MODEL, block)
+    assert np.isfinite(seen.rms(seen.errors(MODEL), seen.seen)).all()
+
+
+@pytest.mark.parametrize("at", [500, -1])
 @pytest.mark.parametrize("jump_us", [30_000, -500_000, 4_000_000])
-def test_a_clock_that_was_set_is_not_believed_where_it_jumped(jump_us: int) -> None:
+def test_a_clock_that_was_set_is_not_believed_where_it_jumped(jump_us: int, at: int) -> None:
     run = recorded(MODEL, 24, slots=900)
     device = np.rint(run["asked_ns"] * 1e-3).astype(np.int64)
-    device[500:] += jump_us
+    device[at:] += jump_us
     told = with_channels(run, device_time_us=device)
     assert rows_of(told).durations_s == pytest.approx(rows_of(run).durations_s, abs=2e-6)
+
+
+def test_a_clock_of_coarse_ticks_times_no_row() -> None:
+    """8 ms by a clock of 10 ms ticks: rows of nothing, and rows of two."""
+    run = recorded(MODEL, 27, slots=900)
+    device = np.rint(run["asked_ns"] * 1e-3).astype(np.int64) // 10_000 * 10_000
+    told = with_channels(run, device_time_us=device)
+    assert rows_of(told).durations_s.min() > 0.7 * PERIOD_S
 
 
 @pytest.mark.parametrize("share", [0.002, 0.03, 0.2])

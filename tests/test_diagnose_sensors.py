@@ -52,16 +52,33 @@ def test_an_angle_of_another_size_or_sign_is_told(scale: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("channel", "role"),
-    [("load_angle_rad", "load_sampled"), ("motor_torque_nm", "current_sampled")],
+    ("channel", "role", "rows"),
+    [
+        ("load_angle_rad", "load_sampled", 1),
+        ("motor_position_rad", "motor_sampled", 2),
+        *(("motor_torque_nm", "current_sampled", rows) for rows in (1, 2, 3)),
+    ],
 )
-def test_a_channel_that_comes_late_is_told_and_the_map_can_say_so(channel: str, role: str) -> None:
+def test_a_channel_that_comes_late_is_told_and_the_map_can_say_so(
+    channel: str, role: str, rows: int
+) -> None:
     run = logged(43)
-    behind = with_channel(run, channel, late(np.asarray(run[channel]), 2))
+    behind = with_channel(run, channel, late(np.asarray(run[channel]), rows))
     (sentence,) = told(behind)
-    assert f'role = "{role}", value = -16, unit = "ms"' in sentence
-    said = with_channel(behind, f"{role}_s", np.full(SLOTS, -2.0 * PERIOD_S))
+    assert f'role = "{role}", value = {-8 * rows}, unit = "ms"' in sentence
+    said = with_channel(behind, f"{role}_s", np.full(SLOTS, -rows * PERIOD_S))
+    if role == "motor_sampled":
+        said = with_channel(said, "current_sampled_s", np.zeros(SLOTS))
     assert told(said) == []
     seen = compare(said, RUBBING)
     left = seen.rms(seen.errors(RUBBING), seen.seen) / [signal.floor for signal in seen.signals]
     assert left.max() < 2.0
+
+
+def test_a_rig_whose_drive_answers_late_for_all_of_its_own_is_right_as_it_was_told() -> None:
+    run = logged(44)
+    for channel in ("motor_position_rad", "motor_torque_nm", "load_angle_rad"):
+        run = with_channel(run, channel, late(np.asarray(run[channel]), 1))
+    for role in ("motor_sampled_s", "load_sampled_s"):
+        run = with_channel(run, role, np.full(SLOTS, -PERIOD_S))
+    assert told(run) == []

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from servo_bench.diagnosis.diagnose import diagnose
+from servo_bench.diagnosis.thinning import rows_to_a_command, thinned
 from servo_bench.diagnosis.times import filled, jitter_s, on_even_times, with_rows_in_holes
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
@@ -94,10 +95,44 @@ def test_a_hole_gets_the_command_that_was_given_in_it() -> None:
     assert with_rows_in_holes(whole) == (whole, ())
 
 
+@pytest.mark.parametrize("rows", [3, 8, 15])
+def test_a_hole_before_a_pause_is_answered_by_its_own_side(rows: int) -> None:
+    whole = logged(37)
+    kept = np.ones(SLOTS, np.bool_)
+    kept[[400, 800 - rows]] = False
+    t_s = whole["t_s"] + np.where(np.arange(SLOTS) >= 800, 5.0, 0.0)
+    channels = {**whole.channels, "t_s": t_s}
+    rowed, holes = with_rows_in_holes(
+        replace(whole, channels={n: v[kept] for n, v in channels.items()})
+    )
+    found = filled(rowed, holes, MODEL)["velocity_command_rad_s"][list(holes)]
+    given = whole["velocity_command_rad_s"][[400, 800 - rows]]
+    assert found == pytest.approx(given, abs=0.1)
+
+
+def test_a_command_that_other_rows_tell_is_not_guessed() -> None:
+    """1 kHz, chips of 8 ms: of many chips the first row is missing, and of none all are."""
+    played = np.repeat(np.random.default_rng(38).uniform(-4.0, 4.0, 400), 8)
+    run = recorded(MODEL, 38, played=played, period_s=0.001)
+    channels = {"t_s": 0.001 * np.arange(played.size), **{name: run[name] for name in CHANNELS}}
+    whole = replace(run, channels=channels)
+    kept = np.ones(played.size, np.bool_)
+    kept[8 * np.arange(20, 380, 7)] = False
+    rows = rows_to_a_command([whole])
+    few = replace(whole, channels={n: v[kept] for n, v in channels.items()})
+    found, expected = thinned(few, rows), thinned(whole, rows)
+    assert (rows, rows_to_a_command([few])) == (8, 8)
+    assert found["t_s"] == pytest.approx(expected["t_s"])
+    command = "velocity_command_rad_s"
+    assert (found[command] == expected[command]).all()
+    assert np.isnan(found["motor_position_rad"]).sum() == (~kept).sum()
+    assert with_rows_in_holes(found)[1] == ()
+
+
 def test_missing_rows_cost_neither_a_verdict_nor_a_cause() -> None:
     rigs = {"none": MODEL, "named": MODEL.with_effect("coulomb", torque_nm=0.012)}
     for expected, model in rigs.items():
-        verdict = diagnose([less(logged(36, model), 36, 0.005)], model=MODEL)
+        verdict = diagnose([less(logged(36, model), 36, 0.015)], model=MODEL)
         assert verdict.verdict == expected, verdict.sentence
         assert any("rows are missing" in note for note in verdict.notes)
         assert [cause.effect for cause in verdict.causes] == ["coulomb"][: len(verdict.causes)]

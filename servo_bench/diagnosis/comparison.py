@@ -279,7 +279,7 @@ def _scaled(signals: Sequence[Signal], rows: Rows, scales: Sequence[int]) -> Ite
             motor = next(s for s in signals if s.channel == less)
             floor = float(np.hypot(floor, motor.floor))
         for stride in scales:
-            over = f" over {stride * rows.period_s * 1e3:g} ms" if stride > 1 else ""
+            over = f" over {stride * rows.period_s * 1e3:.4g} ms" if stride > 1 else ""
             yield signal._replace(
                 name=f"{name}{over}", floor=floor / max(stride, 1) ** 1.5, stride=stride, less=less
             )

@@ -146,6 +146,11 @@ def find_causes(
         recordings, held_out, lost = *told, LostCommands((), lost.changes)
         whole = evidence_of(recordings, now.model, block=block)
     final, named = fit_jointly(whole, now, named, band, report)
+    if named and ready.holes and recordings is ready.recordings:
+        ready = filled_again(ready, final.model)
+        recordings, held_out, told = ready.recordings, ready.held_out, ready.told
+        whole = evidence_of(recordings, final.model, block=block)
+        final, named = fit_jointly(whole, final, named, band, report)
     if not named:  # a line of its error may repeat with the shaft by chance
         final = with_coasting(whole, final)
     asked = SLOW | BEHIND if is_coasting(final.model) else SLOW
@@ -227,7 +232,7 @@ def _of_the_rows(came: Recording, rows: int) -> tuple[str, ...]:
 def _wild(came: Recording, quick: Evidence, model: Model, scales: Scales) -> int:
     """Wrong samples, of all the rows that came."""
     seen = quick.fitted[0]
-    if came.period_s < seen.source.rows.period_s:
+    if 1.5 * came.period_s < seen.source.rows.period_s:
         seen = compare(came, model, seen.block, scales=SCALES)
     return wild_samples(seen, model, scales.gap_rad)
 

@@ -116,13 +116,15 @@ def scales_of(model: Model, commands_rad_s: np.ndarray, done: Simulated) -> Scal
         gap_rad=nominal.backlash_gap_rad,
         inertia_kg_m2=nominal.inertia_kg_m2,
         seconds=done.end.time_s,
-        usual_torque_nm=_usual_torque_nm(model),
+        usual_torque_nm=_usual_torque_nm(model, float(np.abs(commands_rad_s).max())),
     )
 
 
-def _usual_torque_nm(model: Model) -> float:
-    """Rms torque that the slowest usual excitation asks of the nominal rig."""
-    chips = np.random.default_rng(0).uniform(-USUAL_RAD_S, USUAL_RAD_S, USUAL_CHIPS)
+def _usual_torque_nm(model: Model, largest_rad_s: float) -> float:
+    """Rms torque that the slowest usual excitation asks of the nominal rig, within the velocities
+    that were asked of it: an axis may be a slow one."""
+    most_rad_s = min(USUAL_RAD_S, largest_rad_s)
+    chips = np.random.default_rng(0).uniform(-most_rad_s, most_rad_s, USUAL_CHIPS)
     done = model.simulate(chips, USUAL_CHIP_S)
     rms_a = float(np.sqrt(np.mean(done.motor_current_a**2)))
     return rms_a * model.nominal.torque_constant_nm_per_a

@@ -211,7 +211,8 @@ def _foretold(one: Named) -> float:
 def confidence(evidence: float, over_rival: float | None, screened_gain: float) -> float:
     """Probability that the class is right, from how far it leads and how much there was to find."""
     lead = 12.0 if over_rival is None else min(max(over_rival, 0.0), 12.0)
-    score = 0.3 + 0.12 * lead + 0.06 * min(evidence, 20.0) + 2.0 * min(screened_gain, 0.5)
+    foretold = min(max(screened_gain, 0.0), 0.5)
+    score = 0.3 + 0.12 * lead + 0.06 * min(evidence, 20.0) + 2.0 * foretold
     return float(1.0 / (1.0 + np.exp(-score)))
 
 

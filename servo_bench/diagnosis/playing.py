@@ -19,6 +19,8 @@ from sim_rig.model import Model, ModelState, Simulated, controller, mechanics, t
 
 FEWEST_ROWS = 16
 """A piece is no shorter."""
+SHORTEST_ROW = 0.1
+"""Of a period: a stall's rows, which a device took all at once, are shorter."""
 STATE_ROWS, STATE_S = 10, 0.01
 """The state is measured over so many rows to either side, or over so much time."""
 
@@ -47,7 +49,10 @@ class Source(NamedTuple):
 
     def pieces(self, window_s: float | None) -> tuple[Piece, ...]:
         """Whole, or in windows. FitError where no piece is left."""
-        spans = list(_spans(~self._given(), self.rows.broken))
+        broken = self.rows.broken
+        if self.block != "loop":  # what drove it, or how fast it was, nobody knows there
+            broken = broken | (self.rows.durations_s < SHORTEST_ROW * self.rows.period_s)
+        spans = list(_spans(~self._given(), broken))
         if window_s is not None:
             spans = [part for span in spans for part in _windows(self.rows, *span, window_s)]
         pieces = tuple(self._begun(*span, measured=window_s is not None) for span in spans)
@@ -125,12 +130,12 @@ def _sampled(
     durations_s = rows.durations_s[at]
     if not rows.after_s:
         return _shown(model.simulate(commands, durations_s, start))
-    asks_s = np.concatenate(([0.0], np.cumsum(durations_s[:-1])))
-    end_s = asks_s[-1] + durations_s[-1]
+    edges_s = _whole_ns(np.concatenate(([0.0], np.cumsum(durations_s))))
+    asks_s, end_s = edges_s[:-1], edges_s[-1]
 
     def taken_s(*names: str) -> Array:
         after_s = next((rows.after_s[name][at] for name in names if name in rows.after_s), 0.0)
-        return np.clip(asks_s + after_s, 0.0, end_s)
+        return np.clip(_whole_ns(asks_s + after_s), 0.0, end_s)
 
     motor_s, load_s = taken_s("motor_position_rad"), taken_s("load_angle_rad")
     current_s = taken_s("current_a", "motor_position_rad")
@@ -143,6 +148,11 @@ def _sampled(
         name: values[np.searchsorted(cuts_s, instants_s.get(name, motor_s))]
         for name, values in shown.items()
     }
+
+
+def _whole_ns(time_s: Array) -> Array:
+    """As the simulation has them: what is at once is on the same side of a command's jump."""
+    return np.asarray(np.rint(time_s * 1e9) * 1e-9)
 
 
 def _shown(done: Simulated) -> dict[str, Array]:

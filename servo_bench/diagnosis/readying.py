@@ -112,8 +112,10 @@ def _timed(
     if strays_s:
         first = tuple(clocked[: len(recordings)])
         other = quick_evidence(first, base.model, _quick_rows(first), block=block)
-        kept = seek(other, base.model, base.unknowns, iterations=2)
-        if kept.errors.cost(base.sigma) < base.errors.cost(base.sigma):
+        kept, by_stamps = (
+            seek(one, base.model, base.unknowns, iterations=2) for one in (other, quick)
+        )
+        if kept.errors.cost(base.sigma) < by_stamps.errors.cost(base.sigma):
             every, base = clocked, kept
             notes.append(
                 f"The rows' times stray by {strays_s * 1e3:.2g} ms (rms) from an even clock, and "
@@ -146,7 +148,8 @@ def filled_again(ready: Ready, model: Model) -> Ready:
         return tuple(again), judge
 
     recordings, held_out = better(ready.recordings, ready.held_out)
-    return ready._replace(recordings=recordings, held_out=held_out, told=better(*ready.told))
+    told = better(*ready.told) if ready.lost.rows else (recordings, held_out)
+    return ready._replace(recordings=recordings, held_out=held_out, told=told)
 
 
 def _quick_rows(recordings: Sequence[Recording]) -> int:

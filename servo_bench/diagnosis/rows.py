@@ -4,7 +4,7 @@ A command is held until the next row's ask, so that a skipped slot is the row be
 What lies beside a hole is simulated and not compared.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,9 +22,10 @@ HOLE_PERIODS = 10.0
 """Data from elsewhere are cut in two where nothing came for so long."""
 HELD_OUT_SHARE = 0.25
 """Of the time of a recording without a validation phase: its end."""
-STALL_ROWS = 64
+STALL_ROWS, MOST_AWAY, FEW_AWAY, COARSE = 64, 0.5, 0.05, 0.1
 """After a stall the device's times are back beside the asks within so many rows; a clock that was
-set stays off."""
+set stays off. No more of all rows may be away, and few where its ticks are a larger part of a
+period than that."""
 MOST_PERIODS, AT_ONCE_S = 8.0, 2e-6
 """That a sample may be taken before or after its ask; and what is at once."""
 SAMPLED = {
@@ -78,12 +79,12 @@ def rows_of(recording: Recording) -> Rows:
     t_s = np.concatenate(([0.0], np.cumsum(durations_s[:-1])))
     seen, held_out = _phases(recording, t_s)
     timed, broken = np.append(timed, False), np.append(broken, True)
-    after_s = dict(_after(recording))
+    after_s = _after(recording)
     return Rows(recording, period_s, t_s, durations_s, even, timed, broken, seen, held_out, after_s)
 
 
-def _after(recording: Recording) -> Iterator[tuple[str, Array]]:
-    """What is sampled beside the instant at which the command acts, and by how much.
+def _after(recording: Recording) -> dict[str, Array]:
+    """How long after the command's acting each was sampled, where one of them was not at once.
 
     Where a row does not tell, its time is the others' median; where none does, nothing is told.
     """
@@ -93,12 +94,12 @@ def _after(recording: Recording) -> Iterator[tuple[str, Array]]:
         if after in recording
     }
     told = {name: after_s for name, after_s in told.items() if np.isfinite(after_s).any()}
-    acts_s = _acts_s(recording, told) if told else 0.0
+    acts_s, most_s = _acts_s(recording, told) if told else 0.0, MOST_PERIODS * recording.period_s
+    found = {}
     for name, after_s in told.items():
         off_s = np.where(np.isfinite(after_s), after_s, np.nanmedian(after_s)) - acts_s
-        if np.abs(off_s).max() > AT_ONCE_S:
-            most_s = MOST_PERIODS * recording.period_s
-            yield name, np.clip(off_s, -most_s, most_s)
+        found[name] = np.clip(np.where(np.abs(off_s) > AT_ONCE_S, off_s, 0.0), -most_s, most_s)
+    return found if any(off_s.any() for off_s in found.values()) else {}
 
 
 def _acts_s(recording: Recording, told: Mapping[str, Array]) -> float:
@@ -152,8 +153,13 @@ def _by_the_device(recording: Recording, lasted_s: Array) -> tuple[Array, Mask]:
     off = np.where(told, steps - lasted_s, 0.0)
     most = LARGEST_UNEVENNESS * recording.period_s
     away, walked = np.flatnonzero(np.abs(off) > most), np.cumsum(off)
-    stays = [abs(_later(walked, k) - _earlier(walked, k)) > most for k in away.tolist()]
-    told[away[np.array(stays, np.bool_)]] = False
+    tick_s = float(np.gcd.reduce(np.rint(steps[told] * 1e6).astype(np.int64), initial=0)) * 1e-6
+    fine = 0.0 < tick_s < COARSE * recording.period_s
+    sound = away.size < (MOST_AWAY if fine else FEW_AWAY) * off.size
+    if sound:
+        stays = [abs(_later(walked, k) - _earlier(walked, k)) > most for k in away.tolist()]
+        away = away[np.array(stays, np.bool_)]
+    told[away] = False
     told &= steps >= 0.0
     return np.where(told, steps, lasted_s), told
 
@@ -163,7 +169,7 @@ def _earlier(walked: Array, k: int) -> float:
 
 
 def _later(walked: Array, k: int) -> float:
-    return float(np.median(walked[k + 1 : k + 1 + STALL_ROWS])) if k + 1 < walked.size else 0.0
+    return float(np.median(walked[min(k + 1, walked.size - 1) :][:STALL_ROWS]))
 
 
 def _phases(recording: Recording, t_s: Array) -> tuple[Mask, Mask]:

@@ -18,6 +18,12 @@ from sim_rig.model import Model
 
 ANGLES = {"motor_position_rad": "motor's angle", "load_angle_rad": "load's angle"}
 CURRENT = "current_a"
+TIMED = {
+    "load_angle_rad": ("load's angle", "load_sampled"),
+    "motor_position_rad": ("motor's angle", "motor_sampled"),
+    CURRENT: ("torque or current", "current_sampled"),
+}
+"""What may be read at a time of its own; in words, and its role in a map."""
 LONG_ROWS = 12
 """Of increments that a gap or a loop's answer hardly changes."""
 ALIKE, ANOTHER_SIZE = 0.9, 0.3
@@ -74,50 +80,65 @@ def _increments(comparison: Comparison, model: Model, channel: str) -> tuple[Arr
 
 
 def _beside_their_time(comparison: Comparison, models: Sequence[Model]) -> Iterator[str]:
+    """The one channel whose time alone explains most, if that is much."""
+    named = {signal.simulated for signal in comparison.signals}
+    named |= {signal.less for signal in comparison.signals if signal.less}
+    if ANGLES.keys() & named != ANGLES.keys():
+        return  # of one angle alone a late sensor is a late command
+    nearest = (
+        (*_nearest(comparison, model, channel), channel)
+        for channel in TIMED
+        if channel in named
+        for model in models
+    )
+    _, left, now, after, told, channel = min(nearest)
+    what, role = TIMED[channel]
     period_ms = comparison.source.rows.period_s * 1e3
-    for name, what, signal, role in (
-        ("load_angle_rad", "load's angle", "load_angle_rad", "load_sampled"),
-        (CURRENT, "torque or current", "", "current_sampled"),
-    ):
-        rows = [
-            k
-            for k, s in enumerate(comparison.signals)
-            if (s.channel == signal if signal else s.simulated == CURRENT)
-        ]
-        if not rows or (signal and not comparison.source.rows.has("motor_position_rad")):
-            continue
-        left, now, after, told = min(_nearest(comparison, model, name, rows) for model in models)
-        share = left / max(now, 1e-30)
-        if share < FAR_NEARER and abs(after - told) > LEAST_PERIODS:
-            yield (
-                f"The {what} comes {1.0 / max(share, 1e-3):.2g} times nearer to the simulation if "
-                f"sampled {after * period_ms:+.3g} ms after its row's time: is it read late, or "
-                f'filtered? In the map of an import role = "{role}", value = '
-                f'{after * period_ms:.3g}, unit = "ms" says so.'
-            )
+    if left < FAR_NEARER * now and abs(after - told) > LEAST_PERIODS:
+        yield (
+            f"It is {now / max(left, 1e-3):.2g} times nearer to the simulation if the {what} is "
+            f"one of {after * period_ms:+.3g} ms after its row's time: is it read late, or "
+            f'filtered? In the map of an import role = "{role}", value = {after * period_ms:.3g}, '
+            'unit = "ms" says so.'
+        )
 
 
 def _nearest(
-    comparison: Comparison, model: Model, name: str, signals: list[int]
-) -> tuple[float, float, float, float]:
-    """Its error at the instant where it is least and at its own, in floors; and both instants, in
-    periods after the rows' times."""
+    comparison: Comparison, model: Model, channel: str
+) -> tuple[float, float, float, float, float]:
+    """The error of all signals, in floors, where the channel's instant makes it least; that of its
+    own ones there and as it is; and both instants, in periods after the rows' times."""
+    own = [channel in {signal.simulated, signal.less} for signal in comparison.signals]
 
-    def error(after: float) -> float:
+    def error(after: float) -> tuple[float, float]:
         rows = comparison.source.rows
-        told = {**rows.after_s, name: np.full(len(rows.t_s), after * rows.period_s)}
+        told = {**rows.after_s, channel: np.full(len(rows.t_s), after * rows.period_s)}
+        if channel == "motor_position_rad":  # the current has its own instant all the same
+            told.setdefault("current_a", np.full(len(rows.t_s), _own(comparison, "current_a")))
         source = comparison.source._replace(rows=replace(rows, after_s=told))
-        left = replace(comparison, source=source).errors(model)[signals]
-        known = np.where(comparison.seen, left, np.nan)
-        sizes = np.array([comparison.signals[k].floor for k in signals])
-        return float(np.nansum(np.nanmedian(np.abs(known), axis=1) / sizes))
+        known = np.where(comparison.seen, replace(comparison, source=source).errors(model), np.nan)
+        sizes = np.array([signal.floor for signal in comparison.signals])
+        each = np.array([_median(np.abs(row)) for row in known / sizes[:, None]])
+        return float(each.sum()), float(each[own].sum())
 
-    own = comparison.source.rows.after_s.get(name)
-    now = float(np.median(own)) / comparison.source.rows.period_s if own is not None else 0.0
+    now = _own(comparison, channel) / comparison.source.rows.period_s
     tried = {after: error(after) for after in np.arange(LATEST, EARLIEST + 0.1, STEPS[0]).tolist()}
     tried[now] = error(now)
     for step in STEPS[1:]:
         best = min(tried, key=tried.__getitem__)
         tried |= {after: error(after) for after in (best - step, best + step)}
     best = min(tried, key=tried.__getitem__)
-    return tried[best], tried[now], best, now
+    return *tried[best], tried[now][1], best, now
+
+
+def _own(comparison: Comparison, channel: str) -> float:
+    """The instant at which the channel is compared already, s after its row's time."""
+    after_s = comparison.source.rows.after_s
+    motor = "motor_position_rad" if channel == CURRENT else channel
+    told = after_s.get(channel, after_s.get(motor))
+    return float(np.median(told)) if told is not None else 0.0
+
+
+def _median(sizes: Array) -> float:
+    known = sizes[np.isfinite(sizes)]
+    return float(np.median(known)) if known.size else 0.0

@@ -49,6 +49,7 @@ def thinned(recording: Recording, rows: int) -> Recording:
     if not _in_step(changes, rows):
         return recording
     first = int(np.bincount(changes % rows).argmax()) if changes.size else 0
+    recording = _with_first_rows(recording, first, rows)
     slots = _slots(recording)
     kept = np.flatnonzero((slots - first) % rows == 0)
     channels = {name: values[kept] for name, values in recording.channels.items()}
@@ -56,6 +57,30 @@ def thinned(recording: Recording, rows: int) -> Recording:
     channels["slot"] = (slots[kept] - first) // rows
     period_s = rows * recording.period_s
     return replace(recording, channels=channels, period_s=period_s, experiment=None, fast={})
+
+
+def _with_first_rows(recording: Recording, first: int, rows: int) -> Recording:
+    """With a row where the one to be kept is missing and others of its command came: the command
+    is theirs, and its samples did not come.
+
+    Of a run's skipped slot the command before is held, and its row stays missing.
+    """
+    if "asked_ns" in recording or "t_s" not in recording:
+        return recording
+    slots = _slots(recording)
+    group = (slots - first) // rows
+    opens = np.flatnonzero((np.diff(group, prepend=group[0]) > 0) & ((slots - first) % rows != 0))
+    channels = {}
+    for name, values in recording.channels.items():
+        new = values[opens]
+        if name == "t_s":
+            new = new - recording.period_s * ((slots[opens] - first) % rows)
+        elif name == "slot":
+            new = new - (slots[opens] - first) % rows
+        elif name != COMMAND and values.dtype.kind == "f":
+            new = np.full(opens.size, np.nan)
+        channels[name] = np.insert(values, opens, new)
+    return replace(recording, channels=channels)
 
 
 def _can_be_thinned(recording: Recording) -> bool:

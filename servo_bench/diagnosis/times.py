@@ -17,6 +17,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.sparse import lil_array
+from scipy.sparse.linalg import lsqr
 
 from servo_bench.diagnosis.playing import Source
 from servo_bench.diagnosis.rows import HOLE_PERIODS, Array, rows_of
@@ -29,13 +31,13 @@ STRAYS = 0.5
 """Of a period, that a stamp may stray at most: else nobody knows which period it is of."""
 HOLE = 1.5
 """Periods without a row that are a hole."""
-MOST_HOLES = 0.05
+MOST_HOLES = 0.02
 """Of the rows: beyond it there is more that nobody knows than is worth guessing."""
 ANSWER_ROWS = 24
 """In which a loop has answered a hole's command."""
-PASSES = 2
+PASSES = 8
 """Between them it is played again: friction and play make the answer another one."""
-COMMAND = "velocity_command_rad_s"
+COMMAND, ANGLE = "velocity_command_rad_s", "motor_position_rad"
 
 
 def on_even_times(recording: Recording) -> Recording | None:
@@ -94,17 +96,29 @@ def filled(recording: Recording, holes: Sequence[int], model: Model) -> Recordin
 
 def _lacking(recording: Recording, model: Model, holes: Sequence[int]) -> Array:
     """What the command of every hole lacks, shape (holes,), rad/s."""
-    error, durations_s = _error(recording, model)
+    rows = rows_of(recording)
+    source, error, number = Source("loop", rows), _nothing(recording), _nothing(recording)
+    for one, piece in enumerate(source.pieces(None)):
+        shown = source.play(model, piece)[ANGLE]
+        error[piece.rows], number[piece.rows] = rows.channel(ANGLE)[piece.rows] - shown, one
     known = np.flatnonzero(np.isfinite(error))
-    answers = np.zeros((error.size, len(holes)))
+    joined = np.diff(number[known]) == 0.0
+    wrong = np.where(joined, np.diff(error[known]), 0.0)
+    answers = lil_array((wrong.size, len(holes)))
     for column, k in enumerate(holes):
         until = min(k + ANSWER_ROWS, error.size)
-        answer = _answer(model, recording.period_s, float(durations_s[k]))
-        answers[k:until, column] = answer[: until - k]
-        answers[until:, column] = answer[-1]
-    wrong, moved = np.diff(error[known]), np.diff(answers[known], axis=0)
-    told = moved.any(axis=1)
-    return np.asarray(np.linalg.lstsq(moved[told], wrong[told])[0])
+        answer = np.append(0.0, _answer(model, recording.period_s, float(rows.durations_s[k])))
+        low, high = np.searchsorted(known, (k - 1, until))
+        about = known[max(low - 1, 0) : high]
+        moved = np.diff(answer[np.clip(about - k + 1, 0, answer.size - 1)])
+        own = (number[about[1:]] == number[k]) & (number[about[:-1]] == number[k])
+        first = max(low - 1, 0)
+        answers[first : first + moved.size, [column]] = np.where(own, moved, 0.0)[:, None]
+    return np.asarray(lsqr(answers.tocsc(), wrong, atol=1e-12, btol=1e-12)[0])
+
+
+def _nothing(recording: Recording) -> Array:
+    return np.full(len(recording), np.nan)
 
 
 def _answer(model: Model, period_s: float, hole_s: float) -> Array:
@@ -116,28 +130,14 @@ def _answer(model: Model, period_s: float, hole_s: float) -> Array:
 
 
 def _holes(recording: Recording) -> list[int]:
-    needed = {"t_s", COMMAND} <= set(recording.channels) and _angle(recording) is not None
-    if "asked_ns" in recording or not needed:
+    """Rows behind which one or more are missing; none where the motor's way is not known: what
+    the load did in its gap tells of no command."""
+    names = recording.channels
+    if "asked_ns" in names or not {"t_s", COMMAND, ANGLE} <= set(names):
         return []
     rows = rows_of(recording)
+    if not rows.has(ANGLE):
+        return []
     hole = (rows.durations_s > HOLE * rows.period_s) & ~rows.broken
     found: list[int] = np.flatnonzero(hole).tolist()
     return found if len(found) <= MOST_HOLES * len(recording) else []
-
-
-def _angle(recording: Recording) -> str | None:
-    """The angle that tells most of the motor's way."""
-    angles = ("motor_position_rad", "load_angle_rad")
-    there = (n for n in angles if n in recording and np.isfinite(recording[n]).any())
-    return next(there, None)
-
-
-def _error(recording: Recording, model: Model) -> tuple[Array, Array]:
-    """Of that angle at every row, NaN where nothing came; and how long every row lasted."""
-    rows, angle = rows_of(recording), _angle(recording) or ""
-    source = Source("loop", rows)
-    error = np.full(len(recording), np.nan)
-    for piece in source.pieces(None):
-        shown = source.play(model, piece)[angle]
-        error[piece.rows] = rows.channel(angle)[piece.rows] - shown
-    return error, rows.durations_s

@@ -169,6 +169,15 @@ def test_a_device_clock_that_runs_fast_changes_nothing(played: Recording) -> Non
     np.testing.assert_allclose(fast.kernels.c1, analyse(played).kernels.c1, atol=1e-3)
 
 
+def test_a_device_clock_that_begins_again_changes_nothing(played: Recording) -> None:
+    """Object 0x1013 has 32 bits of microseconds: 71.6 minutes."""
+    rows = rows_of(played)
+    halfway = int(rows["device_time_us"][rows.size // 2])
+    rows["device_time_us"] = (rows["device_time_us"] - halfway) % (1 << 32)
+    again = analyse(recording_of(rows, played.experiment))
+    np.testing.assert_array_equal(again.kernels.c1, analyse(played).kernels.c1)
+
+
 def test_a_few_missing_slots_are_bridged_and_said(played: Recording, analysis: Analysis) -> None:
     rng = np.random.default_rng(4)
     lost = rng.choice(np.arange(START, len(played) - 1), 20, replace=False)

@@ -113,6 +113,15 @@ def test_a_clock_that_was_set_is_not_believed_where_it_jumped(jump_us: int, at: 
     assert rows_of(told).durations_s == pytest.approx(rows_of(run).durations_s, abs=2e-6)
 
 
+def test_a_device_clock_that_begins_again_goes_on() -> None:
+    """Object 0x1013 has 32 bits of microseconds: 71.6 minutes."""
+    recording, lasted_s = stalled(28, 400, 0.052)
+    device = (recording["device_time_us"] + (1 << 32) - 3_230_000) % (1 << 32)
+    assert device[-1] < device[0]
+    wrapped = replace(recording, channels={**recording.channels, "device_time_us": device})
+    assert rows_of(wrapped).durations_s == pytest.approx(lasted_s, abs=2e-6)
+
+
 def test_a_clock_of_coarse_ticks_times_no_row() -> None:
     """8 ms by a clock of 10 ms ticks: rows of nothing, and rows of two."""
     run = recorded(MODEL, 27, slots=900)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from servo_bench.errors import ConfigError, FitError
 from servo_bench.excitation.experiment import Phase
 from servo_bench.kernels.response import LARGEST_UNEVENNESS, slot_numbers
-from servo_bench.recording.recording import MISSING, Recording
+from servo_bench.recording.recording import DEVICE_WRAP_US, MISSING, Recording
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -149,7 +149,8 @@ def _by_the_device(recording: Recording, lasted_s: Array) -> tuple[Array, Mask]:
         return lasted_s, never
     device = recording["device_time_us"]
     told = (device[1:] != MISSING) & (device[:-1] != MISSING)
-    steps = np.where(told, np.diff(np.where(device == MISSING, 0, device)), 0) * 1e-6
+    steps = np.where(told, np.diff(np.where(device == MISSING, 0, device)), 0)
+    steps = (steps % DEVICE_WRAP_US) * 1e-6
     off = np.where(told, steps - lasted_s, 0.0)
     most = LARGEST_UNEVENNESS * recording.period_s
     away, walked = np.flatnonzero(np.abs(off) > most), np.cumsum(off)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from servo_bench.errors import RecordingError
 from servo_bench.excitation.experiment import Phase
-from servo_bench.recording.recording import MISSING, Recording
+from servo_bench.recording.recording import DEVICE_WRAP_US, MISSING, Recording
 
 Array = NDArray[np.float64]
 Timebase = Literal["device", "nominal"]
@@ -186,7 +186,7 @@ def _durations(recording: Recording, rows: NDArray[np.int64], slots: int) -> tup
     if not times.size or (times == MISSING).mean() > LARGEST_MISSING_SHARE:
         return nominal, "nominal"
     told = (times[1:] != MISSING) & (times[:-1] != MISSING) & neighbours
-    lasted = np.diff(times)[told].astype(np.float64)
+    lasted = (np.diff(times)[told] % DEVICE_WRAP_US).astype(np.float64)
     median = float(np.median(lasted)) if lasted.size else 0.0
     if median <= 0.0:
         return nominal, "nominal"

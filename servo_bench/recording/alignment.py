@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_bench.recording.recording import MISSING
+from servo_bench.recording.recording import DEVICE_WRAP_US, MISSING
 
 Array = NDArray[np.float64]
 FEWEST = 8
 """So many device times at the least, for an offset and a drift."""
 INLIERS = 0.95
-_WRAP_US = 1 << 32
 _CHANNELS = (
     ("command", "lateness_s"),
     ("motor sample", "motor_sampled_s"),
@@ -86,7 +85,7 @@ def _device_jitter_s(asked_ns: NDArray[np.int64], device_us: NDArray[np.int64]) 
         return jitter_s
     asked, device = asked_ns[told], device_us[told]
     elapsed_s = (asked - asked[0]) * 1e-9
-    steps_us = np.diff(device, prepend=device[0]) % _WRAP_US
+    steps_us = np.diff(device, prepend=device[0]) % DEVICE_WRAP_US
     off_s = np.cumsum(steps_us) * 1e-6 - elapsed_s
     off_s = off_s - _median_slope(elapsed_s, off_s) * elapsed_s
     off_s = off_s - np.median(off_s)

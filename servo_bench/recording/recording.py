@@ -10,7 +10,8 @@ Channels of a run (others may have fewer; `t_s` and the command are always there
     phase                   1      `servo_bench.excitation.experiment.Phase`
     chip                    1      place in its sequence, -1 outside
     asked_ns                ns     CLOCK_MONOTONIC at the ask (CANopen: the SYNC)
-    device_time_us          us     the device's own sampling time, unwrapped; MISSING without one
+    device_time_us          us     the device's own sampling time, which begins again at 2^32
+                                   (`DEVICE_WRAP_US`); MISSING without one
     velocity_command_rad_s  rad/s  acts from this slot's ask on
     motor_position_rad      rad    at this slot's ask, as the next three
     motor_velocity_rad_s    rad/s  the drive's own figure
@@ -44,6 +45,8 @@ from servo_bench.rig import RigConfig
 
 MISSING = np.iinfo(np.int64).min
 """A count that did not come."""
+DEVICE_WRAP_US = 1 << 32
+"""Device times are those of CiA 301 object 0x1013: steps between them are taken modulo this."""
 
 SAMPLE_FIELDS: tuple[tuple[str, str], ...] = (
     ("slot", "int64"),

@@ -356,7 +356,9 @@ def _long(signal: Signal, values: Array, points: _Points, source: Source) -> Arr
             ]
         )
     (early, early_s), (late, late_s) = means
-    found[begin] = np.where(enough, (late - early) / np.maximum(late_s - early_s, 1e-9), np.nan)
+    found[begin] = np.where(
+        enough, (late - early) / np.maximum(late_s - early_s, SHORTEST_S), np.nan
+    )
     return found
 
 

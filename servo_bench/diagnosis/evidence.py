@@ -119,7 +119,7 @@ class Errors:
     def robust(self) -> Array:
         """1.4826 times the median size of every signal's error, shape (signals,); zero where none
         of its points came."""
-        return np.array([1.4826 * _median(np.abs(row[~np.isnan(row)])) for row in self.rows])
+        return np.array([1.4826 * median_of(np.abs(row)) for row in self.rows])
 
     def rms(self) -> Array:
         """Root mean square of every signal's error; shape (signals,)."""
@@ -145,8 +145,10 @@ class Errors:
         return int(np.isfinite(self.rows).sum())
 
 
-def _median(values: Array) -> float:
-    return float(np.median(values)) if values.size else 0.0
+def median_of(values: Array) -> float:
+    """Of those that came; zero where none did."""
+    came = values[~np.isnan(values)]
+    return float(np.median(came)) if came.size else 0.0
 
 
 def robust_cost(white: Array) -> Array:

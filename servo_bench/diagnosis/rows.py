@@ -4,8 +4,8 @@ A command is held until the next row's ask, so that a skipped slot is the row be
 What lies beside a hole is simulated and not compared.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +81,19 @@ def rows_of(recording: Recording) -> Rows:
     timed, broken = np.append(timed, False), np.append(broken, True)
     after_s = _after(recording)
     return Rows(recording, period_s, t_s, durations_s, even, timed, broken, seen, held_out, after_s)
+
+
+def with_rows(
+    recording: Recording, like: Sequence[int], at: Sequence[int], own: Mapping[str, Array]
+) -> Recording:
+    """With rows put in before rows `at`: channels in `own` have those values, other floats did not
+    come, and whole numbers are those of the rows `like`."""
+    channels = {}
+    for name, values in recording.channels.items():
+        did_not_come = np.full(len(like), np.nan)
+        new = did_not_come if values.dtype.kind == "f" else values[np.asarray(like, np.intp)]
+        channels[name] = np.insert(values, np.asarray(at, np.intp), own.get(name, new))
+    return replace(recording, channels=channels)
 
 
 def _after(recording: Recording) -> dict[str, Array]:

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from servo_bench.diagnosis.comparison import Comparison
+from servo_bench.diagnosis.evidence import median_of
 from servo_bench.diagnosis.rows import Array
 from sim_rig.model import Model
 
@@ -96,10 +97,10 @@ def _beside_their_time(comparison: Comparison, models: Sequence[Model]) -> Itera
     period_ms = comparison.source.rows.period_s * 1e3
     if left < FAR_NEARER * now and abs(after - told) > LEAST_PERIODS:
         yield (
-            f"It is {now / max(left, 1e-3):.2g} times nearer to the simulation if the {what} is "
-            f"one of {after * period_ms:+.3g} ms after its row's time: is it read late, or "
-            f'filtered? In the map of an import role = "{role}", value = {after * period_ms:.3g}, '
-            'unit = "ms" says so.'
+            f"It is {now / max(left, 1e-3):.2g} times nearer to the simulation if the {what} was "
+            f"sampled {abs(after) * period_ms:.3g} ms {'before' if after < 0.0 else 'after'} its "
+            "row's time: is it late, or filtered? In the map of an import "
+            f'role = "{role}", value = {after * period_ms:.3g}, unit = "ms" says so.'
         )
 
 
@@ -116,9 +117,12 @@ def _nearest(
         if channel == "motor_position_rad":  # the current has its own instant all the same
             told.setdefault("current_a", np.full(len(rows.t_s), _own(comparison, "current_a")))
         source = comparison.source._replace(rows=replace(rows, after_s=told))
-        known = np.where(comparison.seen, replace(comparison, source=source).errors(model), np.nan)
+        (shown,) = replace(comparison, source=source).errors_of([model])
+        if not np.isfinite(shown).any():  # so late a sample cannot be played
+            return np.inf, np.inf
+        known = np.where(comparison.seen, shown, np.nan)
         sizes = np.array([signal.floor for signal in comparison.signals])
-        each = np.array([_median(np.abs(row)) for row in known / sizes[:, None]])
+        each = np.array([median_of(np.abs(row)) for row in known / sizes[:, None]])
         return float(each.sum()), float(each[own].sum())
 
     now = _own(comparison, channel) / comparison.source.rows.period_s
@@ -137,8 +141,3 @@ def _own(comparison: Comparison, channel: str) -> float:
     motor = "motor_position_rad" if channel == CURRENT else channel
     told = after_s.get(channel, after_s.get(motor))
     return float(np.median(told)) if told is not None else 0.0
-
-
-def _median(sizes: Array) -> float:
-    known = sizes[np.isfinite(sizes)]
-    return float(np.median(known)) if known.size else 0.0

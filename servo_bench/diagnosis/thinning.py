@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_bench.diagnosis.rows import HOLE_PERIODS
+from servo_bench.diagnosis.rows import HOLE_PERIODS, with_rows
 from servo_bench.recording.recording import Recording
 
 LONGEST_S = 0.010
@@ -70,17 +70,13 @@ def _with_first_rows(recording: Recording, first: int, rows: int) -> Recording:
     slots = _slots(recording)
     group = (slots - first) // rows
     opens = np.flatnonzero((np.diff(group, prepend=group[0]) > 0) & ((slots - first) % rows != 0))
-    channels = {}
-    for name, values in recording.channels.items():
-        new = values[opens]
-        if name == "t_s":
-            new = new - recording.period_s * ((slots[opens] - first) % rows)
-        elif name == "slot":
-            new = new - (slots[opens] - first) % rows
-        elif name != COMMAND and values.dtype.kind == "f":
-            new = np.full(opens.size, np.nan)
-        channels[name] = np.insert(values, opens, new)
-    return replace(recording, channels=channels)
+    behind = (slots[opens] - first) % rows
+    own = {
+        "t_s": recording["t_s"][opens] - recording.period_s * behind,
+        "slot": slots[opens] - behind,
+        COMMAND: recording[COMMAND][opens],
+    }
+    return with_rows(recording, opens.tolist(), opens.tolist(), own)
 
 
 def _can_be_thinned(recording: Recording) -> bool:

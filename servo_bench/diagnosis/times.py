@@ -21,7 +21,7 @@ from scipy.sparse import lil_array
 from scipy.sparse.linalg import lsqr
 
 from servo_bench.diagnosis.playing import Source
-from servo_bench.diagnosis.rows import HOLE_PERIODS, Array, rows_of
+from servo_bench.diagnosis.rows import HOLE_PERIODS, Array, rows_of, with_rows
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 
@@ -35,8 +35,8 @@ MOST_HOLES = 0.02
 """Of the rows: beyond it there is more that nobody knows than is worth guessing."""
 ANSWER_ROWS = 24
 """In which a loop has answered a hole's command."""
-PASSES = 8
-"""Between them it is played again: friction and play make the answer another one."""
+PASSES = 9
+"""At most; between them it is played again, for friction makes the answer another one."""
 COMMAND, ANGLE = "velocity_command_rad_s", "motor_position_rad"
 
 
@@ -71,31 +71,33 @@ def with_rows_in_holes(recording: Recording) -> tuple[Recording, tuple[int, ...]
     if not holes:
         return recording, ()
     behind = np.array(holes) + 1
-    channels = {}
-    for name, values in recording.channels.items():
-        new = values[holes]
-        if name == "t_s":
-            new = new + recording.period_s
-        elif name != COMMAND and values.dtype.kind == "f":
-            new = np.full(behind.size, np.nan)
-        channels[name] = np.insert(values, behind, new)
-    rows = (behind + np.arange(behind.size)).tolist()
-    return replace(recording, channels=channels), tuple(rows)
+    own = {
+        "t_s": recording["t_s"][holes] + recording.period_s,
+        COMMAND: recording[COMMAND][holes],
+    }
+    rows = behind + np.arange(behind.size)
+    return with_rows(recording, holes, behind.tolist(), own), tuple(rows.tolist())
 
 
 def filled(recording: Recording, holes: Sequence[int], model: Model) -> Recording:
     """The recording with the commands of those rows that lead the model where the motor went."""
     if not holes:
         return recording
+    nearest, least = recording, np.inf
     for _ in range(PASSES):
+        lacking, left = _lacking(recording, model, holes)
+        if left >= least:
+            break
+        nearest, least = recording, left
         commands = np.array(recording[COMMAND], np.float64)
-        commands[list(holes)] += _lacking(recording, model, holes)
+        commands[list(holes)] += lacking
         recording = replace(recording, channels={**recording.channels, COMMAND: commands})
-    return recording
+    return nearest
 
 
-def _lacking(recording: Recording, model: Model, holes: Sequence[int]) -> Array:
-    """What the command of every hole lacks, shape (holes,), rad/s."""
+def _lacking(recording: Recording, model: Model, holes: Sequence[int]) -> tuple[Array, float]:
+    """What the command of every hole lacks, shape (holes,), rad/s; and the error that stands where
+    they are answered now."""
     rows = rows_of(recording)
     source, error, number = Source("loop", rows), _nothing(recording), _nothing(recording)
     for one, piece in enumerate(source.pieces(None)):
@@ -114,7 +116,9 @@ def _lacking(recording: Recording, model: Model, holes: Sequence[int]) -> Array:
         own = (number[about[1:]] == number[k]) & (number[about[:-1]] == number[k])
         first = max(low - 1, 0)
         answers[first : first + moved.size, [column]] = np.where(own, moved, 0.0)[:, None]
-    return np.asarray(lsqr(answers.tocsc(), wrong, atol=1e-12, btol=1e-12)[0])
+    answered = answers.tocsc()
+    left = float(np.linalg.norm(wrong[np.unique(answered.indices)]))
+    return np.asarray(lsqr(answered, wrong, atol=1e-12, btol=1e-12)[0]), left
 
 
 def _nothing(recording: Recording) -> Array:

@@ -12,8 +12,9 @@ Channels of a run (others may have fewer; `t_s` and the command are always there
     asked_ns                ns     CLOCK_MONOTONIC at the ask (CANopen: the SYNC)
     device_time_us          us     the device's own sampling time, which begins again at 2^32
                                    (`DEVICE_WRAP_US`); MISSING without one
-    velocity_command_rad_s  rad/s  acts from this slot's ask on
-    motor_position_rad      rad    at this slot's ask, as the next three
+    velocity_command_rad_s  rad/s  acts from this slot's ask on; on a serial line from the request's
+                                   last byte on (`RigConfig.command_after_s`)
+    motor_position_rad      rad    `motor_sampled_s` after this slot's ask, as the next three
     motor_velocity_rad_s    rad/s  the drive's own figure
     motor_torque_nm         N m    the drive's own figure
     motor_current_a         A      the drive's own figure

@@ -99,6 +99,9 @@ class DriveConfig(NodeConfig):
     """The load's encoder where it hangs on the drive."""
     stuck_travel_rad: PositiveFloat = math.radians(10.0)
     """How far the motor may turn before the load must have moved at all, rad."""
+    torque_filter_s: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Time constant of the low pass through which a real drive tells its torque, s; 0 without one.
+    The software rig has none."""
     gear_ratio: PositiveFloat = 1.0
     """Motor revolutions in one of the shaft that the bench calls motor angle; 1 without a gear."""
     mode: Literal["csv", "pv"] = "csv"
@@ -212,6 +215,9 @@ class ModbusDriveConfig(Value):
     """The load's encoder where it hangs on the drive."""
     stuck_travel_rad: PositiveFloat = math.radians(10.0)
     """How far the motor may turn before the load must have moved at all, rad."""
+    torque_filter_s: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Time constant of the low pass through which a real drive tells its torque, s; 0 without one.
+    The software rig has none."""
     communication_timeout_s: Interval = 0.3
     """Silence after which the drive stops by itself, s; rounded up to its steps."""
     without_watchdog: bool = False

@@ -28,6 +28,15 @@ def test_a_delay_on_uneven_slots_is_the_same_commands_at_later_times(seed: int) 
     )
 
 
+def test_a_slot_that_is_cut_keeps_its_command_and_no_more_places_of_the_queue() -> None:
+    """Samples of several instants cut a slot; 20 commands of a millisecond are still but 20."""
+    commands = np.random.default_rng(3).choice([-2.0, 0.0, 2.0], 400)
+    delayed = Model(NOMINAL).with_effect("transport_delay", delay_s=19.9e-3)
+    whole = delayed.simulate(commands, 1e-3)
+    cut = delayed.simulate(np.repeat(commands, 5), 2e-4)
+    np.testing.assert_allclose(cut.motor_angle_rad[::5], whole.motor_angle_rad, atol=1e-9)
+
+
 def ramp_response_rad(t_s: NDArray[np.float64]) -> NDArray[np.float64]:
     """Motor angle after a unit step of the command, from G(s)'s poles; zero before it."""
     gain = NOMINAL.torque_constant_nm_per_a / NOMINAL.inertia_kg_m2

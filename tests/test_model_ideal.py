@@ -187,7 +187,7 @@ def test_what_cannot_be_simulated_is_refused() -> None:
     with pytest.raises(SimulationError, match="longest_step_s"):
         Model(NOMINAL, longest_step_s=0.0)
     with pytest.raises(SimulationError, match="64 commands"):
-        model.with_effect("transport_delay", delay_s=0.1).simulate(commands(100), 0.001)
+        model.with_effect("transport_delay", delay_s=0.4).simulate(commands(400), 0.001)
     with pytest.raises(EffectError, match="part of the total"):
         model.with_effect("contact", compliance_rad_per_nm=1e-3, load_inertia_kg_m2=1.0)
     with pytest.raises(EffectError, match="give its Params"):

@@ -19,8 +19,9 @@ from sim_rig.effects import backlash_width
 from sim_rig.errors import EffectError
 from sim_rig.model import Model
 
-WRONG, RIGHT = 0.5, 1.0
-"""Misfit of the twist from which on coasting is asked, and of the rest up to which."""
+WRONG, ASKED, RIGHT = 0.5, 0.15, 1.0
+"""Misfit of the twist from which on coasting is told, and while a cause may yet be found beside it
+asked, and of the rest up to which."""
 LIGHT = 0.001
 """Of the inertia: a load of which the motor feels next to nothing."""
 SLOWED_RAD_S2 = (100.0, 170.0, 280.0, 460.0, 760.0, 1250.0, 2100.0, 3500.0)
@@ -38,13 +39,14 @@ OTHERWISE = frozenset({"contact", "load_friction", "load_torque", "gravity_imbal
 
 
 def with_coasting(whole: Evidence, final: Found, *, to_ask: bool = True) -> Found:
-    """The same search with a coasting load beside, where only the twist is wrong; or as it was.
+    """The same search with a coasting load beside, where all but the twist is right; or as it was.
 
     Coasting is judged in the gap that fits it best. That gap is not kept where it is more than
     what every rig has: it is a cause, to be found beside a load that coasts. Until that is asked
     the load may coast and fit worse; where it is not to be asked any more, it may not.
     """
-    if not _twist_is_wrong(whole, final) or OTHERWISE & set(final.model.effects):
+    least = ASKED if to_ask else WRONG
+    if not _only_the_twist(whole, final, least) or OTHERWISE & set(final.model.effects):
         return final
     start = _start(whole, final)
     if start is None:
@@ -132,10 +134,10 @@ def _own(model: Model) -> tuple[Unknown, ...]:
     )
 
 
-def _twist_is_wrong(whole: Evidence, final: Found) -> bool:
-    """Whether the twist is, and nothing else."""
+def _only_the_twist(whole: Evidence, final: Found, least: float) -> bool:
+    """Whether the twist misses so much, and nothing else more than it may."""
     missed = misfit(whole, final.errors)
     twist = np.array([name.startswith("twist") for name in whole.names])
     if not twist.any():
         return False
-    return bool(missed[twist].max() > WRONG and missed[~twist].max(initial=0.0) < RIGHT)
+    return bool(missed[twist].max() > least and missed[~twist].max(initial=0.0) < RIGHT)

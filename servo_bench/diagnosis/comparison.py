@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from servo_bench.diagnosis.noise import floor_of
 from servo_bench.diagnosis.playing import Piece, Source
-from servo_bench.diagnosis.rows import Array, Mask, Rows, rows_of
+from servo_bench.diagnosis.rows import EFFORTS, Array, Mask, Rows, rows_of
 from servo_bench.errors import ConfigError, FitError
 from servo_bench.recording.blocks import Name, blocks_of
 from servo_bench.recording.recording import Recording
@@ -38,7 +38,6 @@ GROUP_S = 0.25
 FEWEST_POINTS = 64
 SHORTEST_S = 1e-9
 """Between two samples: a device that read two commands at once gives them one time."""
-EFFORTS = ("current_a", "motor_torque_nm", "motor_current_a", "torque_nm")
 CURRENTS = ("current_a", "motor_current_a")
 
 

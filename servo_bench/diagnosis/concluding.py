@@ -15,6 +15,7 @@ from servo_bench.diagnosis.finding import Finding, nothing_told
 from servo_bench.diagnosis.judgement import verdict_of
 from servo_bench.diagnosis.picture import picture
 from servo_bench.diagnosis.rounds import Told
+from servo_bench.diagnosis.rows import filtered
 from servo_bench.diagnosis.undecided import check_alike, open_questions, undecided
 from servo_bench.diagnosis.verdict import Verdict
 from servo_bench.errors import FitError
@@ -51,6 +52,10 @@ def conclude(
     ConfigError where no rig is known and the data are not from elsewhere, or where the recordings
     do not go together.
     """
+    if rig is not None:  # what is known of the drive now, nobody may have known at the recording
+        by_s = rig.drive.torque_filter_s
+        recordings = [filtered(one, by_s) for one in recordings]
+        held_out = filtered(held_out, by_s) if held_out is not None else None
     config = rig if rig is not None else recordings[0].rig
     if model is None and config is not None:
         model = config.model()

@@ -24,8 +24,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_bench.diagnosis.comparison import EFFORTS, Choice, Comparison, compare
-from servo_bench.diagnosis.rows import Array
+from servo_bench.diagnosis.comparison import Choice, Comparison, compare
+from servo_bench.diagnosis.rows import EFFORTS, Array
 from servo_bench.errors import FitError
 from servo_bench.recording.blocks import blocks_of
 from servo_bench.recording.recording import Recording

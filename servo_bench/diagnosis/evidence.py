@@ -60,7 +60,7 @@ class Evidence:
         coarse: bool,
     ) -> list["Errors"]:
         if coarse:
-            models = [replace(m, longest_step_s=COARSE * m.longest_step_s) for m in models]
+            models = [coarser(model) for model in models]
         played = [c.errors_of(models) for c in comparisons]
         return [
             Errors(comparisons, masks, [rows[k] for rows in played]) for k in range(len(models))
@@ -143,6 +143,11 @@ class Errors:
     def points(self) -> int:
         """How many points are known."""
         return int(np.isfinite(self.rows).sum())
+
+
+def coarser(model: Model) -> Model:
+    """The model in steps that are long enough to compare candidates."""
+    return replace(model, longest_step_s=COARSE * model.longest_step_s)
 
 
 def median_of(values: Array) -> float:

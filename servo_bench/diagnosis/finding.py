@@ -28,7 +28,8 @@ from servo_bench.diagnosis.coasting import is_coasting, with_coasting
 from servo_bench.diagnosis.comparison import Choice, compare
 from servo_bench.diagnosis.crossing import crossing_s
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
-from servo_bench.diagnosis.gate import is_noted, material_sizes, misfit, passes
+from servo_bench.diagnosis.gap import play_gap
+from servo_bench.diagnosis.gate import RIGHT, is_noted, material_sizes, misfit, passes
 from servo_bench.diagnosis.hygiene import Lattice, LostCommands, lattice, wild_samples
 from servo_bench.diagnosis.hypotheses import Hypothesis, Scales, hypotheses
 from servo_bench.diagnosis.joint import (
@@ -66,6 +67,9 @@ from sim_rig.model import Model
 
 MOST_ROUNDS = 5
 MOST_CAUSES = 3
+TURNS = 3
+"""After a round in which nothing held what it promised, what promised less has so many more, while
+the simulation is wrong by more than it may be."""
 RIGHT_ALREADY = 0.7
 """Misfit below which a simulation with a cause named already needs good reasons for another."""
 FURTHER_PROMISE = 0.008
@@ -153,12 +157,11 @@ def find_causes(
         final, named = fit_jointly(whole, final, named, band, report)
     if not named:  # a line of its error may repeat with the shaft by chance
         final = with_coasting(whole, final)
-    asked = SLOW | BEHIND if is_coasting(final.model) else SLOW
-    slow = [h for h in candidates if h.effect in asked - {n.effect for n in named}]
-    late = play_slow_round(whole, final, slow, scales, report) if len(named) < MOST_CAUSES else None
+    late = _asked_late(whole, final, named, candidates, scales, report=report)
     if late is not None:
         rounds.append(late.round)
         final, named = fit_jointly(whole, late.contender.found, [*named, late], band, report)
+        absorbed = [effect for effect in absorbed if effect != late.effect]
     if not is_coasting(final.model):  # its contact is no vehicle that a cause was tried on
         named += needed_vehicle(whole, final, named, band, report)
     plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
@@ -198,6 +201,25 @@ def find_causes(
         notes=(*ready.notes, *_of_the_rows(came, rows)),
         seconds=time.perf_counter() - began,
     )
+
+
+def _asked_late(
+    whole: Evidence,
+    final: Found,
+    named: Sequence[Named],
+    candidates: Sequence[Hypothesis],
+    scales: Scales,
+    *,
+    report: Told,
+) -> Named | None:
+    """A cause that only all of the recording shows: a slow one, or where nothing else is wrong a
+    gap that is so by a little."""
+    if len(named) == MOST_CAUSES:
+        return None
+    asked = SLOW | BEHIND if is_coasting(final.model) else SLOW
+    slow = [h for h in candidates if h.effect in asked - {n.effect for n in named}]
+    late = play_slow_round(whole, final, slow, scales, report)
+    return late or (None if named else play_gap(whole, final, candidates, scales))
 
 
 def _beside(whole: Evidence, model: Model, scales: Scales) -> Array:
@@ -249,24 +271,29 @@ def _rounds(
     report: Told,
 ) -> tuple[Found, list[Named], list[str], list[Round]]:
     now, named, absorbed, rounds = base, list[Named](), list[str](), list[Round]()
-    open_, sizes = list(candidates), material_sizes(scales)
+    open_, sizes, turns = list(candidates), material_sizes(scales), list[set[str]]()
     for number in range(MOST_ROUNDS):
-        if not open_ or len(named) == MOST_CAUSES:
+        asked = [h for h in open_ if not any(h.effect in failed for failed in turns)]
+        if not asked or len(named) == MOST_CAUSES:
             break
-        right = bool(named) and float(misfit(quick, now.errors).max()) < RIGHT_ALREADY
+        missed = float(misfit(quick, now.errors).max())
+        right = bool(named) and missed < RIGHT_ALREADY
         least = FURTHER_PROMISE if right else LEAST_GAIN
         told = _in_round(number + 1, report)
-        played = play_round(quick, now, open_, sizes, told, least=least)
+        played = play_round(quick, now, asked, sizes, told, least=least)
         rounds.append(played)
         able = (c for c in played.contenders if passes(c, named=len(named), right=right))
         accepted = next(able, None)
         if accepted is None:
-            break
+            if missed < RIGHT or not played.contenders or len(turns) == TURNS:
+                break
+            turns.append({c.effect for c in played.contenders})
+            continue
         one = Named(accepted.effect, played, accepted, own_unknowns(accepted, accepted.effect))
         worth = worth_a_name(one, accepted.found, scales)
         named += worth
         absorbed += [] if one in worth else [one.effect]
-        now = accepted.found
+        now, turns = accepted.found, []
         # of a class one is enough: two would share among them what nobody can tell apart
         open_ = [h for h in open_ if h.effect not in class_of(accepted.effect)]
     return now, named, absorbed, rounds

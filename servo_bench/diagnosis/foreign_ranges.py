@@ -13,8 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from servo_bench.diagnosis.comparison import EFFORTS, Comparison
+from servo_bench.diagnosis.comparison import Comparison
 from servo_bench.diagnosis.free import FreeParameter
+from servo_bench.diagnosis.rows import EFFORTS
 from servo_bench.diagnosis.twist import TwistComparison
 from sim_rig.model import Model
 

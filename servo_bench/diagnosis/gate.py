@@ -22,6 +22,8 @@ HELD_GAIN, SECOND_GAIN, FURTHER_GAIN = 0.004, 0.04, 0.05
 """Of the held-out cost: of the first cause, of a second one, and where little is wrong any more."""
 MOST_OF_IT, MUCH = 0.5, 0.1
 """Who explains so much of what was seen need not be as sure on the rest."""
+RIGHT = 1.1
+"""Largest misfit, in what a right simulation may miss, of a simulation that is called right."""
 HALF, A_FIFTH = 0.5, 0.2
 LINES = frozenset({"cogging", "torque_ripple"})
 """A line at an order of the shaft is like nothing else, so that their sizes are low: from little

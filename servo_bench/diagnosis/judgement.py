@@ -20,7 +20,7 @@ from servo_bench.diagnosis.comparison import Comparison, compare
 from servo_bench.diagnosis.evidence import block_z
 from servo_bench.diagnosis.finding import Finding
 from servo_bench.diagnosis.free import unit_of
-from servo_bench.diagnosis.gate import material_sizes
+from servo_bench.diagnosis.gate import RIGHT, material_sizes
 from servo_bench.diagnosis.hypotheses import Scales
 from servo_bench.diagnosis.joint import Named
 from servo_bench.diagnosis.readying import order_tolerance
@@ -31,8 +31,6 @@ from servo_bench.diagnosis.verdict import Cause, ErrorFigures, Kind, Limit, Quan
 from sim_rig.effects import find_effect
 from sim_rig.model import Model
 
-RIGHT = 1.1
-"""Largest misfit, in what a right simulation may miss, of a simulation that is called right."""
 FAR_BETTER, NEARLY_RIGHT, BEST_LAW = 10.0, 2.5, 40.0
 """So many times better than before, and so near, is explained too: what remains is noted. No law is
 exact: of what is far off, a fortieth may be left."""

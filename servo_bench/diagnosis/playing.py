@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from servo_bench.diagnosis.low_pass import low_passed
 from servo_bench.diagnosis.rows import Array, Mask, Rows
 from servo_bench.errors import FitError
 from servo_bench.recording.blocks import Name
@@ -21,6 +22,9 @@ FEWEST_ROWS = 16
 """A piece is no shorter."""
 SHORTEST_ROW = 0.1
 """Of a period: a stall's rows, which a device took all at once, are shorter."""
+FILTER_PARTS, FINEST_PARTS, JUMPED_S = 8, 16, 1e-6
+"""A current that is filtered is simulated so many times in a filter's time constant, but in no
+more parts of a period than that; and once when a command has just jumped."""
 STATE_ROWS, STATE_S = 10, 0.01
 """The state is measured over so many rows to either side, or over so much time."""
 
@@ -128,7 +132,7 @@ def _sampled(
     A slot is cut where a sample is taken: the same command goes on in its second part.
     """
     durations_s = rows.durations_s[at]
-    if not rows.after_s:
+    if not rows.after_s and not rows.filtered_s:
         return _shown(model.simulate(commands, durations_s, start))
     edges_s = _whole_ns(np.concatenate(([0.0], np.cumsum(durations_s))))
     asks_s, end_s = edges_s[:-1], edges_s[-1]
@@ -139,15 +143,30 @@ def _sampled(
 
     motor_s, load_s = taken_s("motor_position_rad"), taken_s("load_angle_rad")
     current_s = taken_s("current_a", "motor_position_rad")
-    cuts_s = np.unique(np.concatenate([asks_s, motor_s, load_s, current_s]))
+    fine_s = _fine(model, asks_s, end_s, rows) if rows.filtered_s else asks_s
+    cuts_s = np.unique(np.concatenate([asks_s, motor_s, load_s, current_s, fine_s]))
     held = np.searchsorted(asks_s, cuts_s, side="right") - 1
     lasted_s = np.diff(cuts_s, append=max(end_s, cuts_s[-1]))
     shown = _shown(model.simulate(commands[held], lasted_s, start))
     instants_s = {"load_angle_rad": load_s, "current_a": current_s}
-    return {
+    taken = {
         name: values[np.searchsorted(cuts_s, instants_s.get(name, motor_s))]
         for name, values in shown.items()
     }
+    if rows.filtered_s:
+        current_a = low_passed(cuts_s, shown["current_a"], rows.filtered_s)
+        taken["current_a"] = current_a[np.searchsorted(cuts_s, current_s)]
+    return taken
+
+
+def _fine(model: Model, asks_s: Array, end_s: float, rows: Rows) -> Array:
+    """Instants between which a current is nearly straight: those at which a command comes to act,
+    however late, and just after, among them."""
+    step_s = max(rows.filtered_s / FILTER_PARTS, rows.period_s / FINEST_PARTS)
+    delay = model.effects.get("transport_delay")
+    acts_s = asks_s + (float(delay.delay_s) if delay is not None else 0.0)
+    cuts_s = np.concatenate([np.arange(0.0, end_s, step_s), acts_s, acts_s + JUMPED_S, [end_s]])
+    return _whole_ns(np.minimum(cuts_s, end_s))
 
 
 def _whole_ns(time_s: Array) -> Array:

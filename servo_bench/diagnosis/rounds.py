@@ -145,6 +145,15 @@ def play_round(
     return replace(played, contenders=_simplest_first(played))
 
 
+def faced(evidence: Evidence, base: Found, found: Found, hypothesis: Hypothesis) -> Round:
+    """A round of one contender that has been sought already, weighed by what it leaves."""
+    sigma = evidence.deviation(found.errors)
+    held = evidence.held_out([base.model, found.model])
+    contender = _contender(hypothesis, found, held[1], _Beside(base, held[0], sigma))
+    base_costs = _all_costs(base.errors, held[0], sigma)
+    return Round(base, held[0], base_costs, sigma, (contender,), ())
+
+
 def _simplest_first(played: Round) -> tuple[Contender, ...]:
     """The best one, unless a simpler one does the same as well."""
     best = played.contenders[0]

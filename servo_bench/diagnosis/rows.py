@@ -35,6 +35,9 @@ SAMPLED = {
 }
 """Which channel tells how long after the ask what a model shows was sampled. A drive answers for
 all of its own at once; of a current, only data from elsewhere may tell something else."""
+EFFORTS = ("current_a", "motor_torque_nm", "motor_current_a", "torque_nm")
+FILTERED = "current_filtered_s"
+"""Channel: the time constant of the low pass through which a current or torque was told."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +47,7 @@ class Rows:
 
     `seen` and `held_out` are the rows that a fit may see and those that it is judged on. `after_s`
     has, by what a model shows, how long after the command's acting it was sampled (below zero:
-    before), where that was not at once.
+    before), where that was not at once; `filtered_s` is the current's low pass, zero without one.
     """
 
     recording: Recording
@@ -57,6 +60,7 @@ class Rows:
     seen: Mask
     held_out: Mask
     after_s: Mapping[str, Array]
+    filtered_s: float = 0.0
 
     def channel(self, name: str) -> Array:
         """A channel as floats of its own, NaN where a value did not come."""
@@ -79,8 +83,11 @@ def rows_of(recording: Recording) -> Rows:
     t_s = np.concatenate(([0.0], np.cumsum(durations_s[:-1])))
     seen, held_out = _phases(recording, t_s)
     timed, broken = np.append(timed, False), np.append(broken, True)
-    after_s = _after(recording)
-    return Rows(recording, period_s, t_s, durations_s, even, timed, broken, seen, held_out, after_s)
+    return Rows(
+        *(recording, period_s, t_s, durations_s, even, timed, broken, seen, held_out),
+        after_s=_after(recording),
+        filtered_s=_filtered_s(recording),
+    )
 
 
 def with_rows(
@@ -113,6 +120,24 @@ def _after(recording: Recording) -> dict[str, Array]:
         off_s = np.where(np.isfinite(after_s), after_s, np.nanmedian(after_s)) - acts_s
         found[name] = np.clip(np.where(np.abs(off_s) > AT_ONCE_S, off_s, 0.0), -most_s, most_s)
     return found if any(off_s.any() for off_s in found.values()) else {}
+
+
+def _filtered_s(recording: Recording) -> float:
+    """By its channel, else by the recording's own rig file; of a current that came."""
+    if not any(name in recording for name in EFFORTS):
+        return 0.0
+    told_s = recording[FILTERED] if FILTERED in recording else np.full(1, np.nan)
+    if np.isfinite(told_s).any():
+        return max(float(np.nanmedian(told_s)), 0.0)
+    return recording.rig.drive.torque_filter_s if recording.rig is not None else 0.0
+
+
+def filtered(recording: Recording, by_s: float) -> Recording:
+    """The recording of a drive that tells its torque through a low pass, where it does not say."""
+    if FILTERED in recording or not by_s:
+        return recording
+    told = {FILTERED: np.full(len(recording), by_s)}
+    return replace(recording, channels={**recording.channels, **told})
 
 
 def _acts_s(recording: Recording, told: Mapping[str, Array]) -> float:

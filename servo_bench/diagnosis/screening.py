@@ -3,9 +3,10 @@
     template   t = z(base with the trial) - z(base),          whitened as the error z(base) is
     gain       max over a of  F(z) - F(z + a t + N d),        by weighted least squares
 
-N the nuisances' secants, d their change under what is believed of them. Templates are of finite
-size, because limits and gaps have no slope at zero; a saturates, a in [0.3, 1.5] (an effect with a
-phase spans two templates, and is linear enough to be taken whole).
+N the nuisances' secants, d their change under what is believed of them: one
+that stands at its bound, because it stood in for the cause, comes back from there. Templates are of
+finite size, because limits and gaps have no slope at zero; a saturates, a in [0.3, 1.5] (an effect
+with a phase spans two templates, and is linear enough to be taken whole).
 """
 
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from servo_bench.diagnosis.evidence import KNEE, Errors, Evidence
 from servo_bench.diagnosis.hypotheses import Hypothesis, Trial
@@ -23,7 +25,7 @@ from sim_rig.errors import SimRigError
 from sim_rig.model import Model
 
 LEAST, MOST = 0.3, 1.5
-QUARTER = np.pi / 2.0
+QUARTER, RIDGE = np.pi / 2.0, 1e-6
 AT_BOUND = 0.02
 """Nearer to a bound than this share of the band is at it."""
 
@@ -51,11 +53,13 @@ def screen(
                 continue
     played = iter(evidence.seen(models))
     found: dict[str, Screened] = {}
-    solvers: dict[str, _Projected] = {}
+    solvers: dict[str, _Beside] = {}
     for hypothesis, pair in usable:
-        solver = solvers.setdefault(hypothesis.effect, _Projected(base, hypothesis.effect))
-        gain, amounts = solver.gain([next(played) for _ in pair])
-        trial = _at_phase(pair[0], amounts) if len(pair) == 2 else pair[0].times(float(amounts[0]))
+        if hypothesis.effect not in solvers:
+            solvers[hypothesis.effect] = _Beside(base, hypothesis.effect)
+        gain, amounts = solvers[hypothesis.effect].gain([next(played) for _ in pair])
+        one = pair[0]
+        trial = _at_phase(one, amounts) if len(pair) == 2 else _towards(one, base, amounts[0])
         best = found.get(hypothesis.effect)
         if best is None or gain > best.gain:
             found[hypothesis.effect] = Screened(hypothesis, trial, gain)
@@ -85,6 +89,15 @@ def _turned(trial: Trial, phase_rad: float) -> Trial:
     return replace(trial, settings=settings)
 
 
+def _towards(trial: Trial, base: Found, amount: float) -> Trial:
+    """So much of the way from what the base has of the effect already to the trial."""
+    strength = next(iter(trial.settings))
+    params = base.model.effects.get(trial.effect)
+    now = float(getattr(params, strength)) if params is not None else 0.0
+    tried = float(trial.settings[strength])
+    return trial.times((now + float(amount) * (tried - now)) / tried)
+
+
 def _at_phase(trial: Trial, amounts: Array) -> Trial:
     """The trial at the phase and size that two amounts, at 0 and a quarter, make."""
     size = float(np.hypot(*amounts))
@@ -94,11 +107,12 @@ def _at_phase(trial: Trial, amounts: Array) -> Trial:
     return replace(scaled, settings=settings)
 
 
-class _Projected:
+class _Beside:
     """The base's error with its nuisances ready to be solved along.
 
-    A nuisance that stands at its bound cannot move on, and that of the effect in question is what
-    is asked: neither is solved along.
+    One that stands at its bound only comes back from there, through its band; the others move
+    freely, because what a template has too much of they take off again. That of the effect in
+    question is what is asked, and stays.
     """
 
     def __init__(self, base: Found, effect: str) -> None:
@@ -106,51 +120,52 @@ class _Projected:
         self.white = base.errors.white(base.sigma)
         self.weight = 1.0 / np.sqrt(1.0 + (self.white / KNEE) ** 2)
         self.total = base.errors.cost(base.sigma)
-        free = np.array(
-            [_moves(u, v, effect) for u, v in zip(base.unknowns, base.values, strict=True)]
-        )
-        precision = np.array([u.deviation**-2.0 for u in base.unknowns])[free]
-        centre = np.array([u.centre for u in base.unknowns])[free]
-        jacobian = base.jacobian[:, free]
+        which = [k for k, u in enumerate(base.unknowns) if u.effect != effect]
+        moving = [base.unknowns[k] for k in which]
+        values = base.values[which]
+        stuck = [_at_bound(u, v) for u, v in zip(moving, values, strict=True)]
+        at_low, at_high = np.array(stuck, np.bool_).reshape(-1, 2).T
+        band = np.array([u.high - u.low for u in moving])
+        self.low = np.where(at_low, 0.0, np.where(at_high, -band, -np.inf))
+        self.high = np.where(at_high, 0.0, np.where(at_low, band, np.inf))
+        precision = np.array([u.deviation**-2.0 for u in moving])
+        centre = np.array([u.centre for u in moving])
+        jacobian = base.jacobian[:, which]
         self.weighted = jacobian * self.weight[:, None]
-        gram = jacobian.T @ self.weighted + np.diag(precision)
-        self.size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        scaled = gram / np.outer(self.size, self.size)
-        self.factor = np.linalg.inv(scaled + 1e-6 * np.eye(self.size.size))
-        self.pull = -(self.weighted.T @ self.white) - precision * (base.values[free] - centre)
-
-    def _solved(self, right: Array) -> Array:
-        return np.asarray(self.factor @ (right / self.size) / self.size)
+        self.gram = jacobian.T @ self.weighted + np.diag(precision)
+        self.pull = -(self.weighted.T @ self.white) - precision * (values - centre)
+        self.alone = self._gained(self.gram, self.pull, self.low, self.high)[0]
 
     def gain(self, errors: Sequence[Errors]) -> tuple[float, Array]:
-        """Share of the cost that the templates take, at most 1, and how much of each."""
-        gained, amounts = self._gained(errors)
-        return min(gained, 1.0), amounts
+        """Share of the cost that the templates take, at most 1, and how much of each.
 
-    def _gained(self, errors: Sequence[Errors]) -> tuple[float, Array]:
-        none = -np.inf, np.ones(len(errors))
+        One alone saturates within `LEAST` and `MOST`; two make a phase, and are taken whole.
+        """
         if any(e.ran_away for e in errors):
-            return none
+            return -np.inf, np.ones(len(errors))
         t = np.stack([e.white(self.sigma) - self.white for e in errors], axis=1)
-        cross = self.weighted.T @ t
-        along = np.stack([self._solved(c) for c in cross.T], axis=1)
-        curvature = t.T @ (t * self.weight[:, None]) - cross.T @ along
-        pull = -(t.T @ (self.white * self.weight)) - along.T @ self.pull
-        if len(errors) == 1:
-            c = float(curvature[0, 0])
-            if c <= 0.0:
-                return none
-            amount = float(np.clip(pull[0] / c, LEAST, MOST))
-            gained = 2.0 * amount * float(pull[0]) - amount**2 * c
-            return gained / self.total, np.array([amount])
-        ridge = 1e-9 * max(float(np.trace(curvature)), 1e-300)
-        amounts = np.linalg.solve(curvature + ridge * np.eye(2), pull)
-        return float(pull @ amounts) / self.total, amounts
+        cross, own = self.weighted.T @ t, t.T @ (t * self.weight[:, None])
+        gram = np.block([[self.gram, cross], [cross.T, own]])
+        pull = np.append(self.pull, -(t.T @ (self.white * self.weight)))
+        least, most = (LEAST, MOST) if len(errors) == 1 else (-np.inf, np.inf)
+        low = np.append(self.low, np.full(len(errors), least))
+        high = np.append(self.high, np.full(len(errors), most))
+        gained, step = self._gained(gram, pull, low, high)
+        return min((gained - self.alone) / self.total, 1.0), step[-len(errors) :]
+
+    @staticmethod
+    def _gained(gram: Array, pull: Array, low: Array, high: Array) -> tuple[float, Array]:
+        """How far the cost falls where it is least in the box, and where that is."""
+        size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        root = np.linalg.cholesky(gram / np.outer(size, size) + RIDGE * np.eye(size.size))
+        wanted = np.linalg.solve(root, pull / size)
+        found = lsq_linear(root.T, wanted, (low * size, high * size), method="bvls")
+        step = np.asarray(found.x) / size
+        return float(2.0 * pull @ step - step @ gram @ step), step
 
 
-def _moves(unknown: Unknown, value: float, effect: str) -> bool:
-    """Whether a nuisance can still follow."""
-    if unknown.effect == effect:
-        return False
-    room = AT_BOUND * (unknown.high - unknown.low)
-    return bool(unknown.low + room < value < unknown.high - room) or unknown.circular
+def _at_bound(unknown: Unknown, value: float) -> tuple[bool, bool]:
+    """Whether a nuisance stands at its lower one, and at its upper one."""
+    band = unknown.high - unknown.low
+    room = AT_BOUND * (band if np.isfinite(band) else unknown.step)
+    return value <= unknown.low + room, value >= unknown.high - room

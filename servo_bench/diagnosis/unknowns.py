@@ -9,7 +9,7 @@ excitation asks of the nominal rig), and is freed in every fit:
     torque_constant_error   -0.5 .. 0.5 %   transport_delay       0 .. 0.13 ms
     inertia_error           -0.5 .. 0.5 %   backlash_width        -1 .. 1 mrad, 5 %
 
-A cause of the same name is one that leaves its band.
+A cause of the same name is one that leaves its band; a gap's error may be one within it (`gap`).
 """
 
 from collections.abc import Sequence

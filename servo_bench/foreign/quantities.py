@@ -81,6 +81,7 @@ ROLES: Mapping[str, Role] = {
     "motor_sampled": Role("motor_sampled", "_s", "time", "after the row's time, as the next two"),
     "current_sampled": Role("current_sampled", "_s", "time", "below zero where it comes late"),
     "load_sampled": Role("load_sampled", "_s", "time", "likewise"),
+    "current_filtered": Role("current_filtered", "_s", "time", "of the low pass it went through"),
     "flag": Role("", "", INTEGERS, "a state or a mark; the map names it"),
     "slot": Role("slot", "", INTEGERS, "which period, counted from 0"),
     "phase": Role("phase", "", INTEGERS, "0 standstill, 1 lead-in, 2 identification, 3 validation"),

@@ -119,8 +119,11 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
             step_s, since_s, time_s = 0.0, slot_duration_s, clock
             # port slot_command_rad_s
             # port command_delay_s
+        last_rad_s = state[HEAD + 2 * waiting - 1] if waiting > 0 else drive
         if not on or (command_delay_s <= 0.0 and waiting == 0):
             drive, waiting = slot_command_rad_s, 0
+        elif slot_command_rad_s == last_rad_s:
+            pass  # it comes no sooner than the same one before it
         elif waiting < QUEUE:
             due = greater(command_delay_s, 0.0)
             if waiting > 0:

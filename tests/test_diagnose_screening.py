@@ -1,0 +1,85 @@
+"""What templates foretell: of causes that nuisances stood in for, and of what is there already."""
+
+import numpy as np
+import pytest
+
+from servo_bench.diagnosis.evidence import Evidence, evidence_of
+from servo_bench.diagnosis.finding import find_causes
+from servo_bench.diagnosis.gap import play_gap
+from servo_bench.diagnosis.gate import RIGHT
+from servo_bench.diagnosis.hypotheses import Hypothesis, Scales, hypotheses, scales_of
+from servo_bench.diagnosis.screening import Screened, screen
+from servo_bench.diagnosis.seeking import Found, seek
+from servo_bench.diagnosis.unknowns import nuisances
+from sim_rig.model import Model
+from tests.fit_recordings import NOMINAL, PERIOD_S, recorded
+
+MODEL = Model(NOMINAL)
+SLOTS = 900
+
+
+def rested(
+    hidden: Model, seed: int, band_of: str = ""
+) -> tuple[Evidence, Found, tuple[Hypothesis, ...], Scales]:
+    """What the nuisances leave, each in its band, of a rig that has something more."""
+    run = recorded(hidden, seed, slots=SLOTS)
+    seen = evidence_of([run], MODEL)
+    commands = np.asarray(run["velocity_command_rad_s"])
+    scales = scales_of(MODEL, commands, MODEL.simulate(commands, PERIOD_S))
+    band = nuisances(scales.rig_torque_nm, scales.speed_rad_s, scales.gap_rad)
+    band = tuple(u for u in band if band_of in u.effect)
+    return seen, seek(seen, MODEL, band, iterations=4), hypotheses(scales), scales
+
+
+def first(screened: tuple[Screened, ...], effect: str) -> Screened:
+    return next(s for s in screened if s.hypothesis.effect == effect)
+
+
+def test_a_nuisance_at_its_bound_comes_back_where_the_cause_takes_its_place() -> None:
+    """K_T that falls with the current is K_T that is too large, as far as its band allows."""
+    hidden = MODEL.with_effect("torque_constant_droop", droop_per_a2=3e-3)
+    seen, base, tried, _ = rested(hidden, 31)
+    assert abs(base.value("torque_constant_error.error_fraction")) > 4.9e-3
+    best = screen(seen, base, tried)[0]
+    assert best.hypothesis.effect == "torque_constant_droop"
+    assert best.gain > 0.5
+
+
+@pytest.mark.parametrize("lag_s", [2e-4, 3e-4])
+def test_of_what_is_there_already_a_template_tells_the_whole(lag_s: float) -> None:
+    hidden, lag = MODEL.with_effect("current_loop_lag", lag_s=lag_s), "current_loop_lag"
+    seen, base, tried, _ = rested(hidden, 32, band_of=lag)
+    assert base.value("current_loop_lag.lag_s") > 5e-5
+    found = first(screen(seen, base, tried), lag)
+    assert found.trial.size == pytest.approx(lag_s, rel=0.25)
+
+
+@pytest.mark.parametrize(("share", "named"), [(0.045, True), (-0.045, True), (0.0, False)])
+def test_a_gap_that_is_a_little_wrong_is_a_cause_where_nothing_else_is(
+    share: float, *, named: bool
+) -> None:
+    """Within the band that is free in every fit."""
+    change_rad = share * NOMINAL.backlash_gap_rad
+    hidden = MODEL.with_effect("backlash_width", change_rad=change_rad) if share else MODEL
+    seen, base, tried, scales = rested(hidden, 33)
+    found = play_gap(seen, base, tried, scales)
+    assert (found is not None) is named
+    if found is not None:
+        gap = found.contender.found.value("backlash_width.change_rad")
+        assert gap == pytest.approx(change_rad, rel=0.05)
+
+
+def test_what_promised_less_has_its_turn_where_nothing_held_what_it_promised(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A rig that rubs, and a gate that lets nothing pass."""
+    monkeypatch.setattr("servo_bench.diagnosis.finding.passes", lambda *_, **__: False)
+    hidden = MODEL.with_effect("coulomb", torque_nm=0.03)
+    run = recorded(hidden, 34, slots=SLOTS)
+    finding = find_causes([run], MODEL, only=("coulomb", "viscous", "stribeck", "load_friction"))
+    assert not finding.named
+    assert float(finding.misfit_before.max()) > RIGHT
+    asked = [{s.hypothesis.effect for s in played.screened} for played in finding.rounds]
+    tried = [{c.effect for c in played.contenders} for played in finding.rounds]
+    assert len(finding.rounds) > 1
+    assert not any(tried[0] & later for later in asked[1:])

@@ -7,8 +7,8 @@ from servo_bench.diagnosis.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.finding import find_causes
 from servo_bench.diagnosis.gap import play_gap
 from servo_bench.diagnosis.gate import RIGHT
-from servo_bench.diagnosis.hypotheses import Hypothesis, Scales, hypotheses, scales_of
-from servo_bench.diagnosis.screening import Screened, screen
+from servo_bench.diagnosis.hypotheses import Hypothesis, Scales, Trial, hypotheses, scales_of
+from servo_bench.diagnosis.screening import Screened, screen, towards
 from servo_bench.diagnosis.seeking import Found, seek
 from servo_bench.diagnosis.unknowns import nuisances
 from sim_rig.model import Model
@@ -52,6 +52,19 @@ def test_of_what_is_there_already_a_template_tells_the_whole(lag_s: float) -> No
     assert base.value("current_loop_lag.lag_s") > 5e-5
     found = first(screen(seen, base, tried), lag)
     assert found.trial.size == pytest.approx(lag_s, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("now_nm", "amount", "torque_nm"),
+    [(0.0, 0.5, 0.01), (0.01, 0.5, 0.015), (0.08, 0.5, 0.05), (0.08, 1.5, 0.002)],
+)
+def test_a_trial_is_as_strong_as_what_is_there_and_what_is_added_and_never_less_than_nothing(
+    now_nm: float, amount: float, torque_nm: float
+) -> None:
+    model = MODEL.with_effect("coulomb", torque_nm=now_nm)
+    trial = towards(Trial("coulomb", {"torque_nm": 0.02}, 0.02), model, amount)
+    assert trial.size == pytest.approx(torque_nm)
+    assert trial.on(model).effects["coulomb"].torque_nm == pytest.approx(torque_nm)
 
 
 @pytest.mark.parametrize(("share", "named"), [(0.045, True), (-0.045, True), (0.0, False)])

@@ -202,6 +202,8 @@ def _fitted(quick: Evidence, base: Found, one: Screened) -> Found:
             models.append(one.trial.times(share).carrying(mass).on(base.model))
         except SimRigError:
             continue
+    if not models:
+        raise FitError(f"{one.hypothesis.effect} can be tried on this rig at no size.")
     costs = [errors.cost(base.sigma) for errors in quick.seen(models)]
     model = models[int(np.argmin(costs))]
     return seek(quick, model, unknowns, base.sigma, iterations=2)

@@ -25,6 +25,8 @@ from sim_rig.errors import SimRigError
 from sim_rig.model import Model
 
 LEAST, MOST = 0.3, 1.5
+SMALLEST = 0.1
+"""Of a trial's size, where it is beyond nothing that a template points to."""
 QUARTER, RIDGE = np.pi / 2.0, 1e-6
 AT_BOUND = 0.02
 """Nearer to a bound than this share of the band is at it."""
@@ -59,7 +61,7 @@ def screen(
             solvers[hypothesis.effect] = _Beside(base, hypothesis.effect)
         gain, amounts = solvers[hypothesis.effect].gain([next(played) for _ in pair])
         one = pair[0]
-        trial = _at_phase(one, amounts) if len(pair) == 2 else _towards(one, base, amounts[0])
+        trial = _at_phase(one, amounts) if len(pair) == 2 else towards(one, base.model, amounts[0])
         best = found.get(hypothesis.effect)
         if best is None or gain > best.gain:
             found[hypothesis.effect] = Screened(hypothesis, trial, gain)
@@ -89,13 +91,13 @@ def _turned(trial: Trial, phase_rad: float) -> Trial:
     return replace(trial, settings=settings)
 
 
-def _towards(trial: Trial, base: Found, amount: float) -> Trial:
-    """So much of the way from what the base has of the effect already to the trial."""
+def towards(trial: Trial, model: Model, amount: float) -> Trial:
+    """So much of the way from what a model has of the effect already to the trial; of its sign."""
     strength = next(iter(trial.settings))
-    params = base.model.effects.get(trial.effect)
+    params = model.effects.get(trial.effect)
     now = float(getattr(params, strength)) if params is not None else 0.0
     tried = float(trial.settings[strength])
-    return trial.times((now + float(amount) * (tried - now)) / tried)
+    return trial.times(max((now + float(amount) * (tried - now)) / tried, SMALLEST))
 
 
 def _at_phase(trial: Trial, amounts: Array) -> Trial:

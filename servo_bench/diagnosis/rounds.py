@@ -76,7 +76,8 @@ class Contender:
 
 @dataclass(frozen=True)
 class Round:
-    """What one round found: the base, contenders from the best, and all that was screened."""
+    """What one round found: the base, contenders from the best, and all that was screened: nothing
+    where the one contender was free in every fit already (`faced`)."""
 
     base: Found
     base_held: Errors

@@ -122,7 +122,7 @@ class _Beside:
         self.white = base.errors.white(base.sigma)
         self.weight = 1.0 / np.sqrt(1.0 + (self.white / KNEE) ** 2)
         self.total = base.errors.cost(base.sigma)
-        which = [k for k, u in enumerate(base.unknowns) if u.effect != effect]
+        which = [k for k, u in enumerate(base.unknowns) if u.effect != effect and u.low < u.high]
         moving = [base.unknowns[k] for k in which]
         values = base.values[which]
         stuck = [_at_bound(u, v) for u, v in zip(moving, values, strict=True)]

@@ -98,7 +98,8 @@ def draw_evidence(figure: Figure, played: Round, chosen: Contender | None) -> No
     best = played.screened[:SHOWN_SCREENED]
     first = chosen.effect if chosen else None
     gains = [100.0 * max(s.gain, 0.0) for s in best]  # a template that fits worse promises nothing
-    _bars(promised, [s.hypothesis.effect for s in best], gains, first)
+    free = "not screened:\nfree in every fit" if chosen else "nothing"
+    _bars(promised, [s.hypothesis.effect for s in best], gains, first, none=free)
     promised.set_xlim(left=0.0)
     caption_axes(promised, "screened: promised", "share of the cost (%)", "")
     base = float(played.base_costs.sum())
@@ -109,14 +110,20 @@ def draw_evidence(figure: Figure, played: Round, chosen: Contender | None) -> No
     _draw_blocks(blocks, played, chosen)
 
 
-def _bars(axes: Axes, names: Sequence[str], values: Sequence[float], first: str | None) -> None:
+def _bars(
+    axes: Axes,
+    names: Sequence[str],
+    values: Sequence[float],
+    first: str | None,
+    none: str = "nothing",
+) -> None:
     rows = np.arange(len(names))
     axes.barh(rows, values, height=0.6, color=[ORDER_3 if n == first else BAND for n in names])
     axes.set_yticks(rows, [name.replace("_", " ") for name in names], fontsize=6.5)
     axes.set_ylim(max(len(names), 3) - 0.5, -0.5)
     axes.grid(axis="y", visible=False)
     if not names:
-        axes.text(0.5, 0.5, "nothing", ha="center", transform=axes.transAxes, color=MUTED)
+        axes.text(0.5, 0.5, none, ha="center", transform=axes.transAxes, color=MUTED)
 
 
 def _draw_blocks(axes: Axes, played: Round, chosen: Contender | None) -> None:

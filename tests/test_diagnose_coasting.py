@@ -2,8 +2,15 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
-from servo_bench.diagnosis.coasting import coasting, is_coasting, slowing_rad_s2, with_coasting
+from servo_bench.diagnosis.coasting import (
+    coasting,
+    given_back,
+    is_coasting,
+    slowing_rad_s2,
+    with_coasting,
+)
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.finding import find_causes
 from servo_bench.diagnosis.gate import misfit
@@ -63,3 +70,24 @@ def test_friction_of_a_load_that_coasts_is_taken_off_the_motors() -> None:
     both = effects["coulomb"].torque_nm + effects["load_friction"].torque_nm
     assert both == pytest.approx(5e-3)
     assert effects["load_friction"].torque_nm > 0.0
+
+
+@pytest.mark.parametrize("face_s", [1e-6, 2e-5, 1.2e-4, 1e-3])
+def test_what_a_face_gives_back_of_a_blow(face_s: float) -> None:
+    """A mass on a spring and damper, until the force is used up."""
+    model = coasting(MODEL, SLOWED_RAD_S2, face_s)
+    contact = model.effects["contact"]
+    stiffness, mass = 1.0 / contact.compliance_rad_per_nm, contact.load_inertia_kg_m2
+
+    def force(t: float, y: tuple[float, float]) -> float:
+        return float(stiffness * (y[0] + face_s * y[1]))
+
+    def leaves(t: float, y: tuple[float, float]) -> float:
+        return force(t, y) if t > 0.0 else 1.0
+
+    leaves.terminal = True  # type: ignore[attr-defined]
+    done = solve_ivp(
+        lambda t, y: (y[1], -force(t, y) / mass), (0.0, 0.1), (0.0, 1.0), "Radau", events=leaves,
+        rtol=1e-8, atol=1e-12,
+    )  # fmt: skip
+    assert given_back(model) == pytest.approx(-done.y[1, -1], abs=1e-4)

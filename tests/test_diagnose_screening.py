@@ -86,7 +86,8 @@ def test_what_promised_less_has_its_turn_where_nothing_held_what_it_promised(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A rig that rubs, and a gate that lets nothing pass."""
-    monkeypatch.setattr("servo_bench.diagnosis.finding.passes", lambda *_, **__: False)
+    for gate in ("passes", "promises"):
+        monkeypatch.setattr(f"servo_bench.diagnosis.finding.{gate}", lambda *_, **__: False)
     hidden = MODEL.with_effect("coulomb", torque_nm=0.03)
     run = recorded(hidden, 34, slots=SLOTS)
     finding = find_causes([run], MODEL, only=("coulomb", "viscous", "stribeck", "load_friction"))

@@ -122,6 +122,23 @@ def slowing_rad_s2(model: Model) -> float:
     return float(model.effects["load_friction"].torque_nm) / float(inertia)
 
 
+def given_back(model: Model) -> float:
+    """Share of a blow's speed with which the load leaves its face, 0 to 1.
+
+    Of a spring and damper that pushes and never pulls, at a damping ratio z (Schwager, Poeschel,
+    Granular Matter 9 (2007) 465): exp(-z a/w), w^2 = 1 - z^2, a = atan2(2 z w, 2 z^2 - 1).
+    """
+    contact = model.effects["contact"]
+    swing_s = np.sqrt(contact.compliance_rad_per_nm * contact.load_inertia_kg_m2)
+    ratio = 0.5 * float(contact.damping_s) / float(swing_s)
+    root = np.sqrt(abs(1.0 - ratio**2))
+    if root < 1e-6:
+        return float(np.exp(-2.0))
+    if ratio > 1.0:
+        return float(((ratio - root) / (ratio + root)) ** (ratio / root))
+    return float(np.exp(-ratio * np.arctan2(2.0 * ratio * root, 2.0 * ratio**2 - 1.0) / root))
+
+
 def _own(model: Model) -> tuple[Unknown, ...]:
     friction = float(model.effects["load_friction"].torque_nm)
     most = 10.0 * max(SLOWED_RAD_S2) * LIGHT * model.nominal.inertia_kg_m2

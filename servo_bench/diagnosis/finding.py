@@ -29,7 +29,7 @@ from servo_bench.diagnosis.comparison import Choice, compare
 from servo_bench.diagnosis.crossing import crossing_s
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.gap import play_gap
-from servo_bench.diagnosis.gate import RIGHT, is_noted, material_sizes, misfit, passes
+from servo_bench.diagnosis.gate import RIGHT, is_noted, material_sizes, misfit, passes, promises
 from servo_bench.diagnosis.hygiene import Lattice, LostCommands, lattice, wild_samples
 from servo_bench.diagnosis.hypotheses import Hypothesis, Scales, hypotheses
 from servo_bench.diagnosis.joint import (
@@ -40,7 +40,7 @@ from servo_bench.diagnosis.joint import (
     is_worth_it,
     needed_vehicle,
     own_unknowns,
-    play_slow_round,
+    play_late_round,
     worth_a_name,
 )
 from servo_bench.diagnosis.orders import USUAL, OrderLine, Tone, load_lines, tone
@@ -53,11 +53,14 @@ from servo_bench.diagnosis.readying import (
 )
 from servo_bench.diagnosis.rounds import (
     LEAST_GAIN,
+    REFINES,
+    Contender,
     Round,
     Told,
     play_round,
 )
 from servo_bench.diagnosis.rows import Array
+from servo_bench.diagnosis.runoff import run_off
 from servo_bench.diagnosis.seeking import Found, seek
 from servo_bench.diagnosis.thinning import rows_to_a_command, thinned
 from servo_bench.diagnosis.unevenness import unevenness
@@ -155,9 +158,10 @@ def find_causes(
         recordings, held_out, told = ready.recordings, ready.held_out, ready.told
         whole = evidence_of(recordings, final.model, block=block)
         final, named = fit_jointly(whole, final, named, band, report)
+    final, named = run_off(whole, final, named, band, report)
     if not named:  # a line of its error may repeat with the shaft by chance
         final = with_coasting(whole, final)
-    late = _asked_late(whole, final, named, candidates, scales, report=report)
+    late = _asked_late(whole, final, (named, rounds), candidates, scales, report=report)
     if late is not None:
         rounds.append(late.round)
         final, named = fit_jointly(whole, late.contender.found, [*named, late], band, report)
@@ -206,20 +210,30 @@ def find_causes(
 def _asked_late(
     whole: Evidence,
     final: Found,
-    named: Sequence[Named],
+    known: tuple[Sequence[Named], Sequence[Round]],
     candidates: Sequence[Hypothesis],
     scales: Scales,
     *,
     report: Told,
 ) -> Named | None:
-    """A cause that only all of the recording shows: a slow one, or where nothing else is wrong a
-    gap that is so by a little."""
+    """A cause that only all of the recording shows: a slow one, one that the beginning could not be
+    sure of, or where nothing else is wrong a gap that is so by a little."""
+    named, rounds = known
     if len(named) == MOST_CAUSES:
         return None
-    asked = SLOW | BEHIND if is_coasting(final.model) else SLOW
-    slow = [h for h in candidates if h.effect in asked - {n.effect for n in named}]
-    late = play_slow_round(whole, final, slow, scales, report)
-    return late or (None if named else play_gap(whole, final, candidates, scales))
+    open_ = unsure(named, rounds)
+    asked = open_ | (SLOW | BEHIND if is_coasting(final.model) else SLOW)
+    late = [h for h in candidates if h.effect in asked - {n.effect for n in named}]
+    found = play_late_round(whole, final, late, scales, unsure=open_, report=report)
+    return found or (None if named else play_gap(whole, final, candidates, scales))
+
+
+def unsure(named: Sequence[Named], rounds: Sequence[Round]) -> frozenset[str]:
+    """What the last rounds, which ended without a cause, were not sure of: it explains much of what
+    no fit saw, and the beginning of the recording did not have enough of what shows it."""
+    last = max((k for k, r in enumerate(rounds) if any(n.round is r for n in named)), default=-1)
+    found = {c.effect for r in rounds[last + 1 :] for c in r.contenders if promises(c)}
+    return frozenset(found | {REFINES[effect] for effect in found & REFINES.keys()})
 
 
 def _beside(whole: Evidence, model: Model, scales: Scales) -> Array:
@@ -259,6 +273,15 @@ def _wild(came: Recording, quick: Evidence, model: Model, scales: Scales) -> int
     return wild_samples(seen, model, scales.gap_rad)
 
 
+def _accepted(played: Round, named: int, *, right: bool) -> Contender | None:
+    """The best that is beyond chance; or the plain cause that did as well as what refines it."""
+    able = (c for c in played.contenders if passes(c, named=named, right=right))
+    found = next(able, None)
+    if found is not None and REFINES.get(found.effect) == played.contenders[0].effect:
+        return played.contenders[0]
+    return found
+
+
 def _in_round(number: int, report: Told) -> Told:
     return lambda what: report(f"round {number}: {what}")
 
@@ -282,8 +305,7 @@ def _rounds(
         told = _in_round(number + 1, report)
         played = play_round(quick, now, asked, sizes, told, least=least)
         rounds.append(played)
-        able = (c for c in played.contenders if passes(c, named=len(named), right=right))
-        accepted = next(able, None)
+        accepted = _accepted(played, len(named), right=right)
         if accepted is None:
             if missed < RIGHT or not played.contenders or len(turns) == TURNS:
                 break

@@ -33,7 +33,7 @@ def play_gap(
     base = seek(whole, drawn, others, final.sigma, iterations=4)
     own = widened(GAP, FREE, final.model, least_rad)
     found = seek(whole, final.model, (*others, *own), final.sigma, iterations=2, first=2)
-    played = faced(whole, base, found, hypothesis)
+    played = faced(whole, base, [(found, hypothesis)])
     contender = played.contenders[0]
     named = Named(GAP, played, contender, own_unknowns(contender, GAP))
     enough = contender.held_gain > A_FIFTH and passes(contender)

@@ -11,9 +11,10 @@ What a simulation may miss and still be right is in `allowance`.
 import numpy as np
 
 from servo_bench.diagnosis.evidence import Errors, Evidence
-from servo_bench.diagnosis.hypotheses import SPRINGS, Scales
+from servo_bench.diagnosis.hypotheses import SPRINGS, VEHICLE, Scales
 from servo_bench.diagnosis.rounds import Contender
 from servo_bench.diagnosis.rows import Array
+from servo_bench.diagnosis.unknowns import MASS
 from sim_rig.effects import find_effect
 from sim_rig.model import Model
 
@@ -75,11 +76,18 @@ GIVE, NOTED = 0.1, 0.5
 where a simulation without it has so much of the misfit that a right one may have."""
 
 
+FELT = 0.0075
+"""Of the inertia, that a load must have to be a cause beside what it carries: the motor feels
+nothing of a lighter one, which every rig has, and which coasts (`coasting`)."""
+
+
 def is_material(model: Model, effect: str, scales: Scales, held_gain: float = 0.0) -> bool:
     """Whether an effect of that strength is worth a name on this rig.
 
     Half of it is enough where the effect takes a fifth of all that is wrong.
     """
+    if effect == VEHICLE and "load_friction" in model.effects:
+        return is_felt(model)  # its mass is the cause, and what gives way is beside
     if effect in SPRINGS and held_gain < GIVE:
         return False
     size = material_sizes(scales).get(effect, 0.0)
@@ -87,9 +95,20 @@ def is_material(model: Model, effect: str, scales: Scales, held_gain: float = 0.
     return abs(strength_of(model, effect)) >= enough * size
 
 
+def is_felt(model: Model) -> bool:
+    """Whether the motor feels the mass of the load behind its gap."""
+    mass = float(getattr(model.effects.get(VEHICLE), MASS, 0.0))
+    return mass > FELT * model.nominal.inertia_kg_m2
+
+
 def is_noted(effect: str, misfit_before: Array) -> bool:
     """Whether enough is wrong without the effect: three free numbers of a spring fit anything."""
     return effect not in SPRINGS or float(misfit_before.max()) > NOTED
+
+
+def promises(contender: Contender) -> bool:
+    """Whether a contender explains much of what no fit saw, whatever it does to what was seen."""
+    return contender.held_gain > A_FIFTH and contender.held_z > HELD_Z
 
 
 def passes_slowly(contender: Contender) -> bool:

@@ -11,6 +11,7 @@ a mass of its own (contact), which is then the vehicle, and a cause only where i
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,7 @@ from servo_bench.diagnosis.unknowns import (
 )
 from sim_rig.effects import catalogue, find_effect, inverter_dead_time, thermal_friction
 from sim_rig.effects.effect import Effect
+from sim_rig.errors import EffectError
 from sim_rig.model import Model, Simulated
 
 Table = Mapping[str, float]
@@ -42,6 +44,9 @@ HUB_SHARES, RINGING = (0.15, 0.3, 0.5), 0.03
 """Of the inertia, behind a coupling that gives way; and its damping over the critical one."""
 VEHICLE, LOAD_SHARE = "contact", 0.04
 """What gives the load a mass of its own; and how much of the inertia is behind its gap."""
+FACES_RAD_PER_NM, SLOWED_RAD_S2, BOUNCING = (5e-3, 1.5e-2), (150.0, 500.0, 1500.0, 5000.0), 0.2
+"""Of a load whose friction is known and whose mass is not: its faces, and how fast it slows down;
+and what such faces take of a blow, as a damping ratio."""
 ON_THE_LOAD = frozenset({"load_friction", "load_torque", "gravity_imbalance"})
 SHAPES: Mapping[str, tuple[Table, ...]] = {
     "stribeck": tuple({"stribeck_rad_s": v, "transition_rad_s": 0.1 * v} for v in (0.15, 0.5, 2.0)),
@@ -140,6 +145,7 @@ class Trial:
 
     `swapped`: so much of its torque is taken from the Coulomb friction that was found.
     `crossed_s`: a clock that falls behind until then; the delay that makes it so goes along.
+    `slowed_rad_s2`: a load of the mass that the friction which was found slows down so fast.
     """
 
     effect: str
@@ -148,6 +154,7 @@ class Trial:
     beside: Mapping[str, Table] = field(default_factory=dict)
     swapped: float = 0.0
     crossed_s: float | None = None
+    slowed_rad_s2: float | None = None
 
     def on(self, model: Model) -> Model:
         """The model with it. Raises EffectError where it makes none."""
@@ -165,6 +172,8 @@ class Trial:
         if self.crossed_s is not None:
             delay_s = -self.crossed_s * settings["skew_fraction"]
             model = model.with_effect("transport_delay", delay_s=delay_s)
+        if self.slowed_rad_s2 is not None:
+            settings |= _on_faces(model, self.slowed_rad_s2, settings["compliance_rad_per_nm"])
         return model.with_effect(self.effect, **settings)
 
     def times(self, share: float) -> "Trial":
@@ -180,6 +189,17 @@ class Trial:
         vehicle = self.beside[VEHICLE]
         mass = {"load_inertia_kg_m2": vehicle["load_inertia_kg_m2"] * share}
         return replace(self, beside={**self.beside, VEHICLE: {**vehicle, **mass}})
+
+
+def _on_faces(model: Model, slowed_rad_s2: float, compliance: float) -> Table:
+    """Mass and damping of a load that bounces on its faces as metal does, and goes on as far as its
+    friction lets it. Raises EffectError where it has none, or a mass already."""
+    friction = model.effects.get("load_friction")
+    if VEHICLE in model.effects or friction is None or friction.torque_nm <= 0.0:
+        raise EffectError("No friction of a load was found that would tell how fast it slows down.")
+    mass = min(float(friction.torque_nm) / slowed_rad_s2, model.nominal.inertia_kg_m2)
+    damping_s = 2.0 * BOUNCING * float(np.sqrt(compliance * mass))
+    return {"load_inertia_kg_m2": mass, "damping_s": damping_s}
 
 
 def _warm(model: Model, taken_nm: float) -> Model:
@@ -261,6 +281,8 @@ def hypotheses(
         trials = tuple(_trials(effect, scales, _Orders(motor_orders, ripple_orders, load_orders)))
         if name == "clock_skew" and crossed_s is not None:
             trials = tuple(_crossing(crossed_s))
+        if name == VEHICLE:
+            trials += tuple(_slowed(scales))
         if trials:
             found.append(Hypothesis(name, trials, _FREE.get(name) or _default_free(effect)))
         if name == "cogging" and waves:
@@ -334,6 +356,13 @@ def _crossing(crossed_s: float) -> Iterator[Trial]:
     for delay_s in CROSSING_DELAYS_S:
         skew = -delay_s / crossed_s
         yield Trial("clock_skew", {"skew_fraction": skew}, abs(skew), crossed_s=crossed_s)
+
+
+def _slowed(s: Scales) -> Iterator[Trial]:
+    """A mass for a load of which only the friction is known: how fast it slows down tells it."""
+    for compliance, slowed in product(FACES_RAD_PER_NM, SLOWED_RAD_S2):
+        size = compliance * s.yielding
+        yield Trial(VEHICLE, {"compliance_rad_per_nm": size}, size, slowed_rad_s2=slowed)
 
 
 def _ringing_s(settings: Table, s: Scales) -> float:

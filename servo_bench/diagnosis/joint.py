@@ -7,23 +7,28 @@ vehicle     a load with a mass, on which a cause was tried, is a cause too where
 name        what is smaller than every rig has is absorbed, or gives its name to what carries it
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from servo_bench.diagnosis.bounces import on_other_faces
 from servo_bench.diagnosis.evidence import Evidence, block_z
-from servo_bench.diagnosis.gate import is_material, material_sizes, passes_slowly
+from servo_bench.diagnosis.gate import (
+    RIGHT,
+    is_felt,
+    is_material,
+    material_sizes,
+    misfit,
+    passes_slowly,
+    promises,
+)
 from servo_bench.diagnosis.hypotheses import VEHICLE, Hypothesis, Scales
 from servo_bench.diagnosis.rounds import Contender, Round, Told, merged, play_round
 from servo_bench.diagnosis.seeking import Found, seek, settle
-from servo_bench.diagnosis.unknowns import MASS, Unknown
-from sim_rig.model import Model
+from servo_bench.diagnosis.unknowns import Unknown
 
 NEEDED_Z, NEEDED_SHARE = 4.0, 0.01
-FELT = 0.0075
-"""Of the inertia, that a load must have to be a cause beside what it carries: the motor feels
-nothing of a lighter one, which every rig has, and which coasts (`coasting`)."""
 SLOW_GAIN = 3e-4
 """Screened gain below which nothing slow is fitted: a record shows but a part of what it does."""
 SLOW = frozenset(
@@ -62,6 +67,9 @@ def fit_jointly(
     final = seek(whole, now.model, now.unknowns, iterations=2, first=3, coarse=False)
     own = {u.effect for u in now.unknowns if u not in band}
     final = settle(whole, final, own, turns=3, coarse=False)
+    if VEHICLE in own and float(misfit(whole, final.errors).max()) > RIGHT:
+        report("other faces")
+        final = on_other_faces(whole, final, own)
     kept = list(named)
     for one in named:
         if len(kept) < 2:
@@ -74,20 +82,28 @@ def fit_jointly(
     return final, kept
 
 
-def play_slow_round(
-    whole: Evidence, final: Found, slow: Sequence[Hypothesis], scales: Scales, report: Told
+def play_late_round(
+    whole: Evidence,
+    final: Found,
+    late: Sequence[Hypothesis],
+    scales: Scales,
+    *,
+    unsure: Collection[str],
+    report: Told,
 ) -> Named | None:
-    """What takes longer than a recording's beginning, beside everything that was found."""
-    if not slow:
+    """What takes longer than a recording's beginning, or what that was `unsure` of, beside
+    everything that was found."""
+    if not late:
         return None
     base = seek(whole, final.model, final.unknowns, final.sigma, iterations=1, first=3)
     sizes = material_sizes(scales)
     played = play_round(
-        whole, base, slow, sizes, lambda what: report(f"slow effects: {what}"), least=SLOW_GAIN
+        whole, base, late, sizes, lambda what: report(f"late effects: {what}"), least=SLOW_GAIN
     )
     for found in played.contenders:
         named = Named(found.effect, played, found, own_unknowns(found, found.effect))
-        if passes_slowly(found) and is_worth_it(named, found.found, scales):
+        sure = passes_slowly(found) and (found.effect not in unsure or promises(found))
+        if sure and is_worth_it(named, found.found, scales):
             return named
     return None
 
@@ -103,7 +119,7 @@ def needed_vehicle(
     """What a cause was tried on, where it is there and the cause alone would not do."""
     for one in named:
         for effect in {u.effect for u in one.contender.found.unknowns} & {VEHICLE}:
-            if any(n.effect == effect for n in named) or not _is_felt(final.model):
+            if any(n.effect == effect for n in named) or not is_felt(final.model):
                 continue
             report(f"without {effect}")
             less = without_effect(whole, final, effect, band)
@@ -111,12 +127,6 @@ def needed_vehicle(
                 mine = own_unknowns(one.contender, effect)
                 return [Named(effect, one.round, one.contender, mine, _advantage(final, less))]
     return []
-
-
-def _is_felt(model: Model) -> bool:
-    vehicle = model.effects.get(VEHICLE)
-    mass = float(getattr(vehicle, MASS, 0.0))
-    return mass > FELT * model.nominal.inertia_kg_m2
 
 
 def _needed(final: Found, less: Found) -> bool:

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from servo_bench.diagnosis.classes import class_of, splitting
-from servo_bench.diagnosis.coasting import is_coasting, slowing_rad_s2
+from servo_bench.diagnosis.coasting import given_back, is_coasting, slowing_rad_s2
 from servo_bench.diagnosis.comparison import Comparison, compare
 from servo_bench.diagnosis.evidence import block_z
 from servo_bench.diagnosis.finding import Finding
@@ -42,7 +42,6 @@ SPREAD, OWN_SHARE, KIND_SHARE = 2.0, 0.02, 0.25
 FEWEST_WILD = 3
 FEWEST_LOST = 2
 FULL_TURN = 2.0 * np.pi
-RIVAL_Z, LIKE = 3.0, 0.8
 DETECTION = np.sqrt(20.9)
 """Standard deviations of a size that is seen nine times in ten at a false alarm of 1e-3 (df 1)."""
 
@@ -172,12 +171,7 @@ def cause_of(one: Named, numbers: dict[str, Quantity]) -> Cause:
     contenders = one.round.contenders
     rivals = [c for c in contenders if c is not one.contender and c.effect != one.effect]
     members = class_of(one.effect) - {one.effect}
-    near = {
-        c.effect
-        for c in rivals
-        if block_z(one.contender.costs, c.costs) < RIVAL_Z
-        and one.round.likeness(one.contender, c) > LIKE
-    }
+    near = {c.effect for c in one.round.near(one.contender)}
     others = [c for c in rivals if c.effect not in members]
     rival = min(others, key=lambda c: c.total) if others else None
     over = block_z(one.contender.costs, rival.costs) if rival is not None else None
@@ -337,8 +331,9 @@ def _coasting(model: Model) -> Iterator[str]:
     if is_coasting(model):
         yield (
             "The load goes on in its gap when the motor turns back, slowed by "
-            f"{slowing_rad_s2(model):.2g} rad/s2: no drawing tells it, and every light load "
-            "does."
+            f"{slowing_rad_s2(model):.2g} rad/s2, and leaves a face with "
+            f"{100.0 * given_back(model):.0f} % of the speed it met it with: no drawing tells it, "
+            "and every light load does."
         )
 
 

@@ -36,9 +36,12 @@ WORTH_ANYHOW = 0.05
 STARTS, MASSES = (1.0, 0.5, 0.25, 2.0), (1.0, 0.5, 0.25, 0.12)
 """Of a trial's size, and of the mass that its vehicle carries: how a load slows is the two's ratio,
 and a search from a wrong one ends far off."""
-ALIKE, AS_GOOD = 0.95, 0.04
+ALIKE, ONE_KIND_ALIKE, AS_GOOD = 0.95, 0.9, 0.04
 """Contenders that change the same, and of which none gains so much more, are told apart by how
-much they assume: the one with fewer free numbers and the shorter law is taken."""
+much they assume: the one with fewer free numbers and the shorter law is taken. Where one refines
+the other less likeness is enough."""
+RIVAL_Z, LIKE = 3.0, 0.8
+"""What lies less behind, and changes so much the same, is a near rival."""
 Told = Callable[[str], None]
 REFINES = {"pre_sliding": "coulomb", "thermal_friction": "coulomb", "stribeck": "coulomb"}
 """Friction of its own kind that Coulomb friction does nearly as well."""
@@ -94,6 +97,16 @@ class Round:
         size = float(np.linalg.norm(a) * np.linalg.norm(b))
         return float(a @ b) / size if size > 0.0 else 0.0
 
+    def near(self, one: Contender) -> tuple[Contender, ...]:
+        """Rivals of other effects that change the same, and are not beyond chance worse."""
+        return tuple(
+            c
+            for c in self.contenders
+            if c.effect != one.effect
+            and block_z(one.costs, c.costs) < RIVAL_Z
+            and self.likeness(one, c) > LIKE
+        )
+
 
 def play_round(
     quick: Evidence,
@@ -135,24 +148,31 @@ def play_round(
     again = [(one, _again(quick, one, f, sigma)) for one, f in near]
     beside = [f.model.without(*_not_the_base_s(base, one)) for one, f in again]
     rested = _rested(quick, base, sigma, beside)
-    held = quick.held_out([rested.model, *(f.model for _, f in again)])
-    base_costs = _all_costs(rested.errors, held[0], sigma)
+    return faced(quick, rested, [(f, one.hypothesis) for one, f in again], screened, sigma=sigma)
+
+
+def faced(
+    evidence: Evidence,
+    base: Found,
+    found: Sequence[tuple[Found, Hypothesis]],
+    screened: tuple[Screened, ...] = (),
+    *,
+    sigma: Array | None = None,
+) -> Round:
+    """A round of contenders that have been sought already, the best one first; weighed by what that
+    leaves where no `sigma` is given."""
+    if sigma is None:
+        sigma = evidence.deviation(min((f for f, _ in found), key=lambda f: f.cost).errors)
+    held = evidence.held_out([base.model, *(f.model for f, _ in found)])
+    beside = _Beside(base, held[0], sigma)
     contenders = [
-        _contender(one.hypothesis, f, h, _Beside(rested, held[0], sigma))
-        for (one, f), h in zip(again, held[1:], strict=True)
+        _contender(hypothesis, f, h, beside)
+        for (f, hypothesis), h in zip(found, held[1:], strict=True)
     ]
     contenders.sort(key=lambda c: c.total)
-    played = Round(rested, held[0], base_costs, sigma, tuple(contenders), screened)
-    return replace(played, contenders=_simplest_first(played))
-
-
-def faced(evidence: Evidence, base: Found, found: Found, hypothesis: Hypothesis) -> Round:
-    """A round of one contender that has been sought already, weighed by what it leaves."""
-    sigma = evidence.deviation(found.errors)
-    held = evidence.held_out([base.model, found.model])
-    contender = _contender(hypothesis, found, held[1], _Beside(base, held[0], sigma))
     base_costs = _all_costs(base.errors, held[0], sigma)
-    return Round(base, held[0], base_costs, sigma, (contender,), ())
+    played = Round(base, held[0], base_costs, sigma, tuple(contenders), screened)
+    return replace(played, contenders=_simplest_first(played))
 
 
 def _simplest_first(played: Round) -> tuple[Contender, ...]:
@@ -162,12 +182,16 @@ def _simplest_first(played: Round) -> tuple[Contender, ...]:
     alike = [
         c
         for c in played.contenders
-        if played.likeness(best, c) > ALIKE
+        if played.likeness(best, c) > _least_likeness(best, c)
         and c.total - best.total < AS_GOOD * gained
         and (block_z(best.costs, c.costs) < CLEARLY or _degenerate(best))
     ]
     first = min(alike, key=lambda c: _assumes(c.effect)) if alike else best
     return (first, *(c for c in played.contenders if c is not first))
+
+
+def _least_likeness(best: Contender, plain: Contender) -> float:
+    return ONE_KIND_ALIKE if REFINES.get(best.effect) == plain.effect else ALIKE
 
 
 def _degenerate(contender: Contender) -> bool:

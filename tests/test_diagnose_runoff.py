@@ -1,0 +1,122 @@
+"""What a recording's beginning leaves open is asked again of all of it, and what a load hides."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from servo_bench.diagnosis.bounces import on_other_faces
+from servo_bench.diagnosis.evidence import Evidence, evidence_of
+from servo_bench.diagnosis.finding import find_causes, nothing_told, unsure
+from servo_bench.diagnosis.hypotheses import Hypothesis, Trial, hypotheses, scales_of
+from servo_bench.diagnosis.joint import Named, own_unknowns
+from servo_bench.diagnosis.rounds import Contender, Round, faced, merged
+from servo_bench.diagnosis.runoff import run_off
+from servo_bench.diagnosis.seeking import Found, seek
+from servo_bench.diagnosis.unknowns import nuisances, widened
+from sim_rig.errors import EffectError
+from sim_rig.model import Model
+from tests.fit_recordings import NOMINAL, recorded
+
+MODEL = Model(NOMINAL)
+LAG_S = 4e-4
+BAND = nuisances(0.05, 3.0, NOMINAL.backlash_gap_rad)
+LAGS = ("current_loop_lag", "lag_s"), ("transport_delay", "delay_s")
+FRICTION_NM, FACE_RAD_PER_NM = 4e-3, 2e-3
+
+
+def fitted(seen: Evidence, effect: str, field: str) -> tuple[Found, Hypothesis]:
+    start = MODEL.with_effect(effect, **{field: 0.5 * LAG_S})
+    own = widened(effect, (field,), start, LAG_S)
+    hypothesis = Hypothesis(effect, (Trial(effect, {field: LAG_S}, LAG_S),), (field,))
+    return seek(seen, start, merged(BAND, own), iterations=4), hypothesis
+
+
+@pytest.mark.parametrize("named", ["current_loop_lag", "transport_delay"])
+def test_of_two_that_change_nearly_the_same_everything_tells_which(named: str) -> None:
+    hidden = MODEL.with_effect("current_loop_lag", lag_s=LAG_S)
+    whole = evidence_of([recorded(hidden, 61, slots=1200)], MODEL, block="loop")
+    base = seek(whole, MODEL, BAND, iterations=3)
+    played = faced(whole, base, [fitted(whole, *lag) for lag in LAGS])
+    (one,) = (c for c in played.contenders if c.effect == named)
+    begun = replace(played, contenders=tuple(_as_good(c, one) for c in played.contenders))
+    first = Named(one.effect, begun, one, own_unknowns(one, one.effect))
+    final, (kept,) = run_off(whole, one.found, [first], BAND, nothing_told)
+    assert kept.effect == "current_loop_lag"
+    assert kept.contender.found is final
+    # a filter of the velocity, in its band, takes a part of it
+    lags_s = final.value("current_loop_lag.lag_s") + final.value("velocity_filter_lag.lag_s")
+    assert lags_s == pytest.approx(LAG_S, rel=0.1)
+
+
+def _as_good(contender: Contender, one: Contender) -> Contender:
+    """What a beginning that is too short would have said."""
+    return contender if contender is one else replace(contender, costs=one.costs)
+
+
+def friction(load_share: float) -> Model:
+    """Of a load with a mass that its gap lets go on."""
+    mass = load_share * NOMINAL.inertia_kg_m2
+    return MODEL.with_effect("load_friction", torque_nm=FRICTION_NM).with_effect(
+        "contact",
+        compliance_rad_per_nm=FACE_RAD_PER_NM,
+        load_inertia_kg_m2=mass,
+        damping_s=0.4 * float(np.sqrt(FACE_RAD_PER_NM * mass)),
+    )
+
+
+@pytest.mark.parametrize(("share", "named"), [(0.03, {"contact"}), (0.0015, set())])
+def test_a_mass_behind_friction_is_a_cause_where_the_motor_feels_it(
+    share: float, named: set[str]
+) -> None:
+    played = [recorded(friction(share), 62, slots=900)]
+    found = find_causes(played, MODEL, only=("load_friction", "contact"))
+    assert {n.effect for n in found.named} == {"load_friction"} | named
+    if named:
+        mass = found.final.model.effects["contact"].load_inertia_kg_m2
+        assert mass == pytest.approx(share * NOMINAL.inertia_kg_m2, rel=0.15)
+
+
+def test_a_mass_is_tried_that_the_known_friction_slows_down() -> None:
+    rig = MODEL.with_effect("load_friction", torque_nm=FRICTION_NM)
+    scales = scales_of(MODEL, np.ones(64), MODEL.simulate(np.ones(64), 0.008))
+    (contact,) = hypotheses(scales, only=("contact",))
+    slowed = [trial for trial in contact.trials if trial.slowed_rad_s2 is not None]
+    for trial in slowed:
+        mass = trial.on(rig).effects["contact"].load_inertia_kg_m2
+        assert FRICTION_NM / mass == pytest.approx(trial.slowed_rad_s2) or mass == (
+            NOMINAL.inertia_kg_m2
+        )
+        with pytest.raises(EffectError, match="No friction of a load"):
+            trial.on(MODEL)
+    assert slowed
+
+
+def test_a_search_among_faces_goes_on_where_one_ended() -> None:
+    hidden = friction(0.05)
+    whole = evidence_of([recorded(hidden, 63, slots=900)], MODEL, block="loop")
+    stiff = hidden.effects["contact"]._asdict() | {"compliance_rad_per_nm": 0.2 * FACE_RAD_PER_NM}
+    start = hidden.with_effect("contact", **stiff)
+    free = widened("contact", ("compliance_rad_per_nm", "damping_s"), start, FACE_RAD_PER_NM)
+    stuck = seek(whole, start, free, iterations=0)
+    found = on_other_faces(whole, stuck, {"contact"})
+    assert found.cost < 0.5 * stuck.cost
+    assert found.value("contact.compliance_rad_per_nm") == pytest.approx(FACE_RAD_PER_NM, rel=0.2)
+
+
+def test_what_explained_much_of_what_no_fit_saw_is_asked_again_beside_its_plain_rival() -> None:
+    whole = evidence_of([recorded(MODEL, 64, slots=300)], MODEL, block="loop")
+    base = seek(whole, MODEL, (), iterations=0)
+    trial = Trial("stribeck", {"excess_torque_nm": 1e-3}, 1e-3)
+    hypothesis = Hypothesis("stribeck", (trial,), ("excess_torque_nm",))
+    played = faced(whole, base, [(base, hypothesis)])
+
+    def having(held_gain: float, held_z: float) -> Round:
+        (one,) = played.contenders
+        return replace(played, contenders=(replace(one, held_gain=held_gain, held_z=held_z),))
+
+    assert unsure([], [having(0.3, 6.0)]) == {"stribeck", "coulomb"}
+    assert unsure([], [having(0.3, 1.0), having(0.1, 6.0)]) == set()
+    named = having(0.3, 6.0)
+    one = Named("stribeck", named, named.contenders[0], ())
+    assert unsure([one], [named]) == set()

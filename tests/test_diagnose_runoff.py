@@ -9,7 +9,7 @@ from servo_bench.diagnosis.bounces import on_other_faces
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.finding import find_causes, nothing_told, unsure
 from servo_bench.diagnosis.hypotheses import Hypothesis, Trial, hypotheses, scales_of
-from servo_bench.diagnosis.joint import Named, own_unknowns
+from servo_bench.diagnosis.joint import Named, fit_jointly, own_unknowns
 from servo_bench.diagnosis.rounds import Contender, Round, faced, merged
 from servo_bench.diagnosis.runoff import run_off
 from servo_bench.diagnosis.seeking import Found, seek
@@ -41,9 +41,12 @@ def test_of_two_that_change_nearly_the_same_everything_tells_which(named: str) -
     (one,) = (c for c in played.contenders if c.effect == named)
     begun = replace(played, contenders=tuple(_as_good(c, one) for c in played.contenders))
     first = Named(one.effect, begun, one, own_unknowns(one, one.effect))
-    final, (kept,) = run_off(whole, one.found, [first], BAND, nothing_told)
+    joint, _ = fit_jointly(whole, one.found, [first], BAND, nothing_told)
+    final, (kept,) = run_off(whole, joint, [first], BAND, nothing_told)
     assert kept.effect == "current_loop_lag"
-    assert kept.contender.found is final
+    assert kept.round is not begun
+    fine = whole.seen([final.model], coarse=False)[0].cost(final.sigma) + final.belief
+    assert final.cost == pytest.approx(fine)
     # a filter of the velocity, in its band, takes a part of it
     lags_s = final.value("current_loop_lag.lag_s") + final.value("velocity_filter_lag.lag_s")
     assert lags_s == pytest.approx(LAG_S, rel=0.1)
@@ -84,23 +87,23 @@ def test_a_mass_is_tried_that_the_known_friction_slows_down() -> None:
     slowed = [trial for trial in contact.trials if trial.slowed_rad_s2 is not None]
     for trial in slowed:
         mass = trial.on(rig).effects["contact"].load_inertia_kg_m2
-        assert FRICTION_NM / mass == pytest.approx(trial.slowed_rad_s2) or mass == (
-            NOMINAL.inertia_kg_m2
-        )
+        assert FRICTION_NM / mass == pytest.approx(trial.slowed_rad_s2)
         with pytest.raises(EffectError, match="No friction of a load"):
             trial.on(MODEL)
     assert slowed
 
 
 def test_a_search_among_faces_goes_on_where_one_ended() -> None:
+    """From faces that are far too stiff a search by secants ends in a valley of its own."""
     hidden = friction(0.05)
     whole = evidence_of([recorded(hidden, 63, slots=900)], MODEL, block="loop")
-    stiff = hidden.effects["contact"]._asdict() | {"compliance_rad_per_nm": 0.2 * FACE_RAD_PER_NM}
+    stiff = hidden.effects["contact"]._asdict() | {"compliance_rad_per_nm": 0.05 * FACE_RAD_PER_NM}
     start = hidden.with_effect("contact", **stiff)
-    free = widened("contact", ("compliance_rad_per_nm", "damping_s"), start, FACE_RAD_PER_NM)
-    stuck = seek(whole, start, free, iterations=0)
-    found = on_other_faces(whole, stuck, {"contact"})
-    assert found.cost < 0.5 * stuck.cost
+    free = widened("contact", ("compliance_rad_per_nm", "damping_s"), start, 0.05 * FACE_RAD_PER_NM)
+    ended = seek(whole, start, free, iterations=4, first=2, coarse=False)
+    assert ended.value("contact.compliance_rad_per_nm") < 0.6 * FACE_RAD_PER_NM
+    found = on_other_faces(whole, ended, {"contact"})
+    assert found.cost < 0.7 * ended.cost
     assert found.value("contact.compliance_rad_per_nm") == pytest.approx(FACE_RAD_PER_NM, rel=0.2)
 
 
@@ -115,8 +118,5 @@ def test_what_explained_much_of_what_no_fit_saw_is_asked_again_beside_its_plain_
         (one,) = played.contenders
         return replace(played, contenders=(replace(one, held_gain=held_gain, held_z=held_z),))
 
-    assert unsure([], [having(0.3, 6.0)]) == {"stribeck", "coulomb"}
-    assert unsure([], [having(0.3, 1.0), having(0.1, 6.0)]) == set()
-    named = having(0.3, 6.0)
-    one = Named("stribeck", named, named.contenders[0], ())
-    assert unsure([one], [named]) == set()
+    assert unsure([having(0.3, 6.0)]) == {"stribeck", "coulomb"}
+    assert unsure([having(0.3, 1.0), having(0.1, 6.0)]) == set()

@@ -24,12 +24,20 @@ import numpy as np
 from servo_bench.diagnosis.allowance import SCALES
 from servo_bench.diagnosis.bounces import bounces
 from servo_bench.diagnosis.classes import class_of
-from servo_bench.diagnosis.coasting import is_coasting, with_coasting
+from servo_bench.diagnosis.coasting import OTHERWISE, is_coasting, with_coasting
 from servo_bench.diagnosis.comparison import Choice, compare
 from servo_bench.diagnosis.crossing import crossing_s
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.gap import play_gap
-from servo_bench.diagnosis.gate import RIGHT, is_noted, material_sizes, misfit, passes, promises
+from servo_bench.diagnosis.gate import (
+    RIGHT,
+    is_noted,
+    material_sizes,
+    misfit,
+    passes,
+    passes_slowly,
+    promises,
+)
 from servo_bench.diagnosis.hygiene import Lattice, LostCommands, lattice, wild_samples
 from servo_bench.diagnosis.hypotheses import Hypothesis, Scales, hypotheses
 from servo_bench.diagnosis.joint import (
@@ -144,7 +152,7 @@ def find_causes(
         without=tuple(without),
         only=tuple(only),
     )
-    now, named, absorbed, rounds = _rounds(quick, base, candidates, scales, report)
+    now, named, absorbed, rounds, failed = _rounds(quick, base, candidates, scales, report)
     ready = filled_again(ready, now.model)
     recordings, held_out, lost, told = ready.recordings, ready.held_out, ready.lost, ready.told
     report("joint fit on everything")
@@ -161,7 +169,7 @@ def find_causes(
     final, named = run_off(whole, final, named, band, report)
     if not named:  # a line of its error may repeat with the shaft by chance
         final = with_coasting(whole, final)
-    late = _asked_late(whole, final, (named, rounds), candidates, scales, report=report)
+    late = _asked_late(whole, final, (named, unsure(failed)), candidates, scales, report=report)
     if late is not None:
         rounds.append(late.round)
         final, named = fit_jointly(whole, late.contender.found, [*named, late], band, report)
@@ -191,7 +199,7 @@ def find_causes(
         final=final,
         whole=whole,
         named=tuple(named),
-        absorbed=tuple(absorbed),
+        absorbed=tuple(e for e in absorbed if all(e != n.effect for n in named)),
         lost=lost,
         lattice=grid,
         motor_lines=motor.torque,
@@ -210,7 +218,7 @@ def find_causes(
 def _asked_late(
     whole: Evidence,
     final: Found,
-    known: tuple[Sequence[Named], Sequence[Round]],
+    known: tuple[Sequence[Named], frozenset[str]],
     candidates: Sequence[Hypothesis],
     scales: Scales,
     *,
@@ -218,21 +226,21 @@ def _asked_late(
 ) -> Named | None:
     """A cause that only all of the recording shows: a slow one, one that the beginning could not be
     sure of, or where nothing else is wrong a gap that is so by a little."""
-    named, rounds = known
+    named, open_ = known
     if len(named) == MOST_CAUSES:
         return None
-    open_ = unsure(named, rounds)
-    asked = open_ | (SLOW | BEHIND if is_coasting(final.model) else SLOW)
-    late = [h for h in candidates if h.effect in asked - {n.effect for n in named}]
+    slow = SLOW | BEHIND if is_coasting(final.model) else SLOW
+    open_ -= slow | (OTHERWISE if is_coasting(final.model) else frozenset())
+    out = frozenset().union(*(class_of(n.effect) for n in named))
+    late = [h for h in candidates if h.effect in (slow | open_) - out]
     found = play_late_round(whole, final, late, scales, unsure=open_, report=report)
     return found or (None if named else play_gap(whole, final, candidates, scales))
 
 
-def unsure(named: Sequence[Named], rounds: Sequence[Round]) -> frozenset[str]:
-    """What the last rounds, which ended without a cause, were not sure of: it explains much of what
-    no fit saw, and the beginning of the recording did not have enough of what shows it."""
-    last = max((k for k, r in enumerate(rounds) if any(n.round is r for n in named)), default=-1)
-    found = {c.effect for r in rounds[last + 1 :] for c in r.contenders if promises(c)}
+def unsure(failed: Sequence[Round]) -> frozenset[str]:
+    """What rounds that ended without a cause were not sure of: it explains much of what no fit saw,
+    and the beginning of the recording did not have enough of what shows it."""
+    found = {c.effect for r in failed for c in r.contenders if promises(c)}
     return frozenset(found | {REFINES[effect] for effect in found & REFINES.keys()})
 
 
@@ -274,11 +282,13 @@ def _wild(came: Recording, quick: Evidence, model: Model, scales: Scales) -> int
 
 
 def _accepted(played: Round, named: int, *, right: bool) -> Contender | None:
-    """The best that is beyond chance; or the plain cause that did as well as what refines it."""
+    """The best that is beyond chance; or the plain cause before it, which it only refines, and
+    which is so on all blocks together."""
     able = (c for c in played.contenders if passes(c, named=named, right=right))
     found = next(able, None)
-    if found is not None and REFINES.get(found.effect) == played.contenders[0].effect:
-        return played.contenders[0]
+    plain = next(iter(played.contenders), None)
+    if found is not None and plain is not None and REFINES.get(found.effect) == plain.effect:
+        return plain if passes_slowly(plain) else found
     return found
 
 
@@ -292,8 +302,10 @@ def _rounds(
     candidates: Sequence[Hypothesis],
     scales: Scales,
     report: Told,
-) -> tuple[Found, list[Named], list[str], list[Round]]:
+) -> tuple[Found, list[Named], list[str], list[Round], list[Round]]:
+    """Base, causes, what is too small for a name, all rounds, and those after the last cause."""
     now, named, absorbed, rounds = base, list[Named](), list[str](), list[Round]()
+    failed = list[Round]()
     open_, sizes, turns = list(candidates), material_sizes(scales), list[set[str]]()
     for number in range(MOST_ROUNDS):
         asked = [h for h in open_ if not any(h.effect in failed for failed in turns)]
@@ -305,6 +317,7 @@ def _rounds(
         told = _in_round(number + 1, report)
         played = play_round(quick, now, asked, sizes, told, least=least)
         rounds.append(played)
+        failed.append(played)
         accepted = _accepted(played, len(named), right=right)
         if accepted is None:
             if missed < RIGHT or not played.contenders or len(turns) == TURNS:
@@ -315,7 +328,7 @@ def _rounds(
         worth = worth_a_name(one, accepted.found, scales)
         named += worth
         absorbed += [] if one in worth else [one.effect]
-        now, turns = accepted.found, []
+        now, turns, failed = accepted.found, [], []
         # of a class one is enough: two would share among them what nobody can tell apart
         open_ = [h for h in open_ if h.effect not in class_of(accepted.effect)]
-    return now, named, absorbed, rounds
+    return now, named, absorbed, rounds, failed

@@ -86,11 +86,12 @@ def is_material(model: Model, effect: str, scales: Scales, held_gain: float = 0.
 
     Half of it is enough where the effect takes a fifth of all that is wrong.
     """
-    if effect == VEHICLE and "load_friction" in model.effects:
+    sizes = material_sizes(scales)
+    if effect == VEHICLE and strength_of(model, "load_friction") > HALF * sizes["load_friction"]:
         return is_felt(model)  # its mass is the cause, and what gives way is beside
     if effect in SPRINGS and held_gain < GIVE:
         return False
-    size = material_sizes(scales).get(effect, 0.0)
+    size = sizes.get(effect, 0.0)
     enough = HALF if held_gain > A_FIFTH and effect not in LINES else 1.0
     return abs(strength_of(model, effect)) >= enough * size
 

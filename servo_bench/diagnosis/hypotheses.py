@@ -197,7 +197,7 @@ def _on_faces(model: Model, slowed_rad_s2: float, compliance: float) -> Table:
     friction = model.effects.get("load_friction")
     if VEHICLE in model.effects or friction is None or friction.torque_nm <= 0.0:
         raise EffectError("No friction of a load was found that would tell how fast it slows down.")
-    mass = min(float(friction.torque_nm) / slowed_rad_s2, model.nominal.inertia_kg_m2)
+    mass = min(float(friction.torque_nm) / slowed_rad_s2, 0.5 * model.nominal.inertia_kg_m2)
     damping_s = 2.0 * BOUNCING * float(np.sqrt(compliance * mass))
     return {"load_inertia_kg_m2": mass, "damping_s": damping_s}
 

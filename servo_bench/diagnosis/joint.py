@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from servo_bench.diagnosis.bounces import on_other_faces
+from servo_bench.diagnosis.coasting import is_coasting
 from servo_bench.diagnosis.evidence import Evidence, block_z
 from servo_bench.diagnosis.gate import (
     RIGHT,
@@ -67,7 +68,11 @@ def fit_jointly(
     final = seek(whole, now.model, now.unknowns, iterations=2, first=3, coarse=False)
     own = {u.effect for u in now.unknowns if u not in band}
     final = settle(whole, final, own, turns=3, coarse=False)
-    if VEHICLE in own and float(misfit(whole, final.errors).max()) > RIGHT:
+    if (
+        VEHICLE in own
+        and not is_coasting(final.model)
+        and float(misfit(whole, final.errors).max()) > RIGHT
+    ):
         report("other faces")
         final = on_other_faces(whole, final, own)
     kept = list(named)

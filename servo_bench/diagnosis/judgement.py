@@ -171,7 +171,7 @@ def cause_of(one: Named, numbers: dict[str, Quantity]) -> Cause:
     contenders = one.round.contenders
     rivals = [c for c in contenders if c is not one.contender and c.effect != one.effect]
     members = class_of(one.effect) - {one.effect}
-    near = {c.effect for c in one.round.near(one.contender)}
+    near = {c.effect for c in one.round.near(one.contender)} - {one.effect}
     others = [c for c in rivals if c.effect not in members]
     rival = min(others, key=lambda c: c.total) if others else None
     over = block_z(one.contender.costs, rival.costs) if rival is not None else None

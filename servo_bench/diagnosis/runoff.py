@@ -4,56 +4,72 @@ A round is played on the beginning, because fits there are cheap. What it leaves
 its near rivals is noise of a few seconds; on everything they often lie ten deviations apart.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
 from servo_bench.diagnosis.classes import class_of
 from servo_bench.diagnosis.evidence import Evidence
-from servo_bench.diagnosis.joint import Named, own_unknowns, without_effect
+from servo_bench.diagnosis.hypotheses import SPRINGS
+from servo_bench.diagnosis.joint import Named, fit_jointly, own_unknowns
 from servo_bench.diagnosis.rounds import Contender, Told, faced, merged
 from servo_bench.diagnosis.seeking import Found, seek, settle
 from servo_bench.diagnosis.unknowns import Unknown
 from servo_bench.errors import FitError
 from sim_rig.errors import SimRigError
+from sim_rig.model import Model
 
 
 def run_off(
     whole: Evidence, final: Found, named: Sequence[Named], band: Sequence[Unknown], report: Told
 ) -> tuple[Found, list[Named]]:
     """The joint fit with the better of every cause and its near rivals; each with a round of all
-    that was recorded where it had any."""
-    kept = list(named)
+    that was recorded where it had any. A rival that takes a cause's place is fitted jointly anew.
+    """
+    kept, now = list(named), final
+    brought = {n.effect: _brought(n, n.contender) for n in named}
     for place, one in enumerate(named):
-        others = [n for n in kept if n is not one]
-        rivals = _rivals(one, others)
+        others = frozenset().union(*(brought[n.effect] for n in named if n is not one))
+        rivals = _rivals(one, kept)
         if not rivals:
             continue
         report(f"{one.effect} against {', '.join(rival.effect for rival in rivals)}")
-        ends = [(one.contender, _again(whole, final, {one.effect}))]
+        gone = brought[one.effect] - others
+        ends = [(_again(whole, now, gone), one.contender.hypothesis)]
         for rival in rivals:
             try:
-                ends.append((rival, _instead(whole, final, (one, rival), others, band)))
-            except (FitError, SimRigError):
+                new = _brought(one, rival) - others
+                ends.append((_instead(whole, now, gone, (rival, new), band), rival.hypothesis))
+            except (FitError, SimRigError, np.linalg.LinAlgError):
                 continue
-        base = without_effect(whole, final, one.effect, band, iterations=3)
-        against = [(end, contender.hypothesis) for contender, end in ends]
-        played = faced(whole, base, against, one.round.screened)
+        if len(ends) == 1:
+            continue
+        base = _without(whole, now, {one.effect, *(gone - SPRINGS)}, band)
+        played = faced(whole, base, ends, one.round.screened)
         first = played.contenders[0]
         kept[place] = Named(first.effect, played, first, own_unknowns(first, first.effect))
-        final = first.found
-    return final, kept
+        if first.effect != one.effect:
+            now = first.found
+    return (final, kept) if now is final else fit_jointly(whole, now, kept, band, report)
 
 
-def _rivals(one: Named, others: Sequence[Named]) -> list[Contender]:
+def _brought(one: Named, contender: Contender) -> frozenset[str]:
+    """What came with a contender of a cause's round: what carries it, and what it carries."""
+    usual = {u.effect for u in one.round.base.unknowns}
+    mine = {u.effect for u in contender.found.unknowns} - usual | {contender.effect}
+    own = [u for u in contender.found.unknowns if u.effect in mine]
+    return frozenset(mine | {name.split(".")[0] for u in own for name in u.carried})
+
+
+def _rivals(one: Named, named: Sequence[Named]) -> list[Contender]:
     """Near ones that could be told from the cause, and are not named themselves."""
-    if one.missed_z is not None:
+    if one.missed_z is not None or one.effect != one.contender.effect:
         return []
-    out = class_of(one.effect).union(*(class_of(n.effect) for n in others))
+    out = frozenset().union(*(class_of(n.effect) for n in named))
     return [c for c in one.round.near(one.contender) if c.effect not in out]
 
 
-def _again(whole: Evidence, found: Found, own: set[str]) -> Found:
+def _again(whole: Evidence, found: Found, own: Collection[str]) -> Found:
     """As much search for everyone."""
     again = seek(whole, found.model, found.unknowns, found.sigma, iterations=4, first=1)
     return settle(whole, again, own, turns=1)
@@ -61,25 +77,38 @@ def _again(whole: Evidence, found: Found, own: set[str]) -> Found:
 
 def _instead(
     whole: Evidence,
-    final: Found,
-    pair: tuple[Named, Contender],
-    others: Sequence[Named],
+    now: Found,
+    gone: Collection[str],
+    instead: tuple[Contender, Collection[str]],
     band: Sequence[Unknown],
 ) -> Found:
-    """The joint fit with a rival, and what carries it, in a cause's place."""
-    one, rival = pair
-    usual = {u.effect for u in one.round.base.unknowns}
-    usual |= {u.effect for n in others for u in n.contender.found.unknowns}
-    brought = {u.effect for u in rival.found.unknowns} - usual | {rival.effect}
-    gone = {u.effect for u in one.contender.found.unknowns} - usual | {one.effect}
-    model = final.model.without(*gone)
-    for effect in brought:
+    """The joint fit with a rival, and all that came with it, in the place of what is gone."""
+    rival, new = instead
+    start = _taken_out(now, {*gone, *new}, set(gone) - set(new), band)
+    model = start.model
+    for effect in new:
         model = model.with_effect(effect, **rival.found.model.effects[effect]._asdict())
-    back = tuple(u for u in band if u.effect in gone - brought)
-    for unknown in back:
-        value = np.clip(unknown.of(rival.found.model), unknown.low, unknown.high)
+    unknowns = merged(start.unknowns, [u for u in rival.found.unknowns if u.effect in new])
+    return _again(whole, _put(start, model, unknowns), new)
+
+
+def _without(whole: Evidence, now: Found, gone: Collection[str], band: Sequence[Unknown]) -> Found:
+    return _again(whole, _taken_out(now, gone, gone, band), ())
+
+
+def _taken_out(
+    now: Found, gone: Collection[str], back: Collection[str], band: Sequence[Unknown]
+) -> Found:
+    """A search's start without some effects; those of `back` that every rig has, in their bands."""
+    model, usual = now.model.without(*gone), [u for u in band if u.effect in back]
+    for unknown in usual:
+        value = np.clip(unknown.of(now.model), unknown.low, unknown.high)
         model = unknown.put(model, float(value))
-    stayed = tuple(u for u in final.unknowns if u.effect not in gone | brought)
-    new = tuple(u for u in rival.found.unknowns if u.effect in brought)
-    start = final._replace(model=model, unknowns=merged(stayed, (*back, *new)))
-    return _again(whole, start, brought)
+    return _put(now, model, [*(u for u in now.unknowns if u.effect not in gone), *usual])
+
+
+def _put(now: Found, model: Model, unknowns: Sequence[Unknown]) -> Found:
+    """Another start; what is carried comes first."""
+    return now._replace(
+        model=model, unknowns=tuple(sorted(unknowns, key=lambda u: bool(u.carries)))
+    )

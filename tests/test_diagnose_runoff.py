@@ -7,7 +7,7 @@ import pytest
 
 from servo_bench.diagnosis.bounces import on_other_faces
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
-from servo_bench.diagnosis.finding import find_causes, nothing_told, unsure
+from servo_bench.diagnosis.finding import accepted_of, find_causes, nothing_told, unsure
 from servo_bench.diagnosis.hypotheses import Hypothesis, Trial, hypotheses, scales_of
 from servo_bench.diagnosis.joint import Named, fit_jointly, own_unknowns
 from servo_bench.diagnosis.rounds import Contender, Round, faced, merged
@@ -96,7 +96,7 @@ def test_a_mass_is_tried_that_the_known_friction_slows_down() -> None:
 def test_a_search_among_faces_goes_on_where_one_ended() -> None:
     """From faces that are far too stiff a search by secants ends in a valley of its own."""
     hidden = friction(0.05)
-    whole = evidence_of([recorded(hidden, 63, slots=900)], MODEL, block="loop")
+    whole = evidence_of([recorded(hidden, 63, slots=600)], MODEL, block="loop")
     stiff = hidden.effects["contact"]._asdict() | {"compliance_rad_per_nm": 0.05 * FACE_RAD_PER_NM}
     start = hidden.with_effect("contact", **stiff)
     free = widened("contact", ("compliance_rad_per_nm", "damping_s"), start, 0.05 * FACE_RAD_PER_NM)
@@ -107,16 +107,40 @@ def test_a_search_among_faces_goes_on_where_one_ended() -> None:
     assert found.value("contact.compliance_rad_per_nm") == pytest.approx(FACE_RAD_PER_NM, rel=0.2)
 
 
-def test_what_explained_much_of_what_no_fit_saw_is_asked_again_beside_its_plain_rival() -> None:
+def no_better_than_the_base(*effects: str) -> Round:
+    """A round of contenders with nothing to show, for tests to say what they have."""
     whole = evidence_of([recorded(MODEL, 64, slots=300)], MODEL, block="loop")
     base = seek(whole, MODEL, (), iterations=0)
-    trial = Trial("stribeck", {"excess_torque_nm": 1e-3}, 1e-3)
-    hypothesis = Hypothesis("stribeck", (trial,), ("excess_torque_nm",))
-    played = faced(whole, base, [(base, hypothesis)])
+    return faced(whole, base, [(base, Hypothesis(effect, (), ())) for effect in effects])
+
+
+def showing(played: Round, effect: str, **what: float) -> Contender:
+    (one,) = (c for c in played.contenders if c.effect == effect)
+    return replace(one, **what)
+
+
+def test_what_explained_much_of_what_no_fit_saw_is_asked_again_beside_its_plain_rival() -> None:
+    played = no_better_than_the_base("stribeck")
 
     def having(held_gain: float, held_z: float) -> Round:
-        (one,) = played.contenders
-        return replace(played, contenders=(replace(one, held_gain=held_gain, held_z=held_z),))
+        one = showing(played, "stribeck", held_gain=held_gain, held_z=held_z)
+        return replace(played, contenders=(one,))
 
     assert unsure([having(0.3, 6.0)]) == {"stribeck", "coulomb"}
     assert unsure([having(0.3, 1.0), having(0.1, 6.0)]) == set()
+
+
+@pytest.mark.parametrize(
+    ("held_z", "held_gain", "accepted"), [(11.0, 0.33, "coulomb"), (-5.0, -0.3, "stribeck")]
+)
+def test_what_only_refines_gives_way_unless_the_held_out_blocks_speak_against_the_plain_one(
+    held_z: float, held_gain: float, accepted: str
+) -> None:
+    played = no_better_than_the_base("coulomb", "stribeck")
+    plain = showing(
+        played, "coulomb", seen_z=3.2, held_z=held_z, seen_gain=0.018, held_gain=held_gain
+    )
+    fine = showing(played, "stribeck", seen_z=4.3, held_z=13.5, seen_gain=0.018, held_gain=0.35)
+    found = accepted_of(replace(played, contenders=(plain, fine)), 0, right=False)
+    assert found is not None
+    assert found.effect == accepted

@@ -17,7 +17,7 @@ from tests.fit_recordings import NOMINAL, PERIOD_S, recorded
 
 MODEL = Model(NOMINAL)
 RUBBING = MODEL.with_effect("coulomb", torque_nm=0.01)
-SLOTS = 800
+SLOTS = 500
 
 
 def logged(seed: int, rig: Model = RUBBING) -> Recording:
@@ -58,7 +58,7 @@ def test_an_angle_of_another_size_or_sign_is_told(scale: float) -> None:
     [
         ("load_angle_rad", "load_sampled", 1),
         ("motor_position_rad", "motor_sampled", 2),
-        *(("motor_torque_nm", "current_sampled", rows) for rows in (1, 3)),
+        ("motor_torque_nm", "current_sampled", 3),
     ],
 )
 def test_a_channel_that_comes_late_is_told_and_the_map_can_say_so(
@@ -86,7 +86,7 @@ def test_a_rig_whose_drive_answers_late_for_all_of_its_own_is_right_as_it_was_to
     assert told(run) == []
 
 
-@pytest.mark.parametrize(("tau_s", "delay_s"), [(2e-3, 0.0), (8e-3, 1.3e-4), (20e-3, 1.1e-3)])
+@pytest.mark.parametrize(("tau_s", "delay_s"), [(2e-3, 1.3e-4), (20e-3, 1.1e-3)])
 def test_a_current_that_is_told_as_an_average_is_told_so_and_the_map_can_say_it(
     tau_s: float, delay_s: float
 ) -> None:

@@ -281,7 +281,7 @@ def _wild(came: Recording, quick: Evidence, model: Model, scales: Scales) -> int
     return wild_samples(seen, model, scales.gap_rad)
 
 
-def _accepted(played: Round, named: int, *, right: bool) -> Contender | None:
+def accepted_of(played: Round, named: int, *, right: bool) -> Contender | None:
     """The best that is beyond chance; or the plain cause before it, which it only refines, and
     which is so on all blocks together."""
     able = (c for c in played.contenders if passes(c, named=named, right=right))
@@ -318,7 +318,7 @@ def _rounds(
         played = play_round(quick, now, asked, sizes, told, least=least)
         rounds.append(played)
         failed.append(played)
-        accepted = _accepted(played, len(named), right=right)
+        accepted = accepted_of(played, len(named), right=right)
         if accepted is None:
             if missed < RIGHT or not played.contenders or len(turns) == TURNS:
                 break

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from servo_bench.diagnosis.bounces import on_other_faces
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
@@ -14,6 +15,7 @@ from servo_bench.diagnosis.rounds import Contender, Round, faced, merged
 from servo_bench.diagnosis.runoff import run_off
 from servo_bench.diagnosis.seeking import Found, seek
 from servo_bench.diagnosis.unknowns import nuisances, widened
+from servo_bench.report.diagnosis_figures import draw_evidence
 from sim_rig.errors import EffectError
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, recorded
@@ -144,3 +146,14 @@ def test_what_only_refines_gives_way_unless_the_held_out_blocks_speak_against_th
     found = accepted_of(replace(played, contenders=(plain, fine)), 0, right=False)
     assert found is not None
     assert found.effect == accepted
+
+
+def test_the_evidence_shows_every_block_of_a_part_and_none_of_the_other() -> None:
+    played = no_better_than_the_base("coulomb")
+    one = showing(played, "coulomb")
+    one = replace(one, costs=np.array([0.0, 0.0, 3.0, 16.0, 0.0]))
+    played = replace(played, base_costs=np.array([0.0, 0.0, 12.0, 0.0, 0.0]), contenders=(one,))
+    figure = Figure()
+    draw_evidence(figure, played, one)
+    (line,) = (line for line in figure.axes[2].lines if line.get_label() == "over the base")
+    np.testing.assert_allclose(line.get_ydata(), [-4.0, 3.0])

@@ -141,7 +141,8 @@ def _draw_blocks(axes: Axes, played: Round, chosen: Contender | None) -> None:
         rival = min(others, key=lambda c: c.total)
         pairs.append((rival.costs, f"over {rival.effect.replace('_', ' ')}", ORDER_1, "--"))
     for costs, label, colour, dash in pairs:
-        gained = costs - chosen.costs
+        judged = (costs != 0.0) | (chosen.costs != 0.0)  # a block may lie in one part only
+        gained = (costs - chosen.costs)[judged]
         gained = np.sort(np.sign(gained) * np.sqrt(np.abs(gained)))
         axes.plot(gained, color=colour, linestyle=dash, label=label)
     axes.legend(loc="upper left", fontsize=6.5)

@@ -4,7 +4,8 @@
     base        nominal model and its nuisances, fitted on the recording's beginning
     hygiene     lost commands are put right and counted
     rounds      screen, fit, compete, accept; what is there but too small to matter is absorbed
-    whole       everything accepted, on all that was recorded, in fine steps; backward deletion
+    whole       everything accepted, on all that was recorded, in fine steps; backward deletion;
+                a cause against its near rivals (`runoff`); what only all of it shows
     lattice     of the load angle, where the simulation with its causes does not stand on it too
     judgement   named, none, or unknown; confidence, rivals, limits, gain on data no fit saw
 

@@ -1,8 +1,8 @@
-"""All that was accepted, on all that was recorded: what is needed, what carries it, what is slow.
+"""All that was accepted, on all that was recorded: what is needed, what carries it, what is late.
 
 joint fit   every open number at once, in fine steps, until nothing helps (`settle`)
 deletion    each cause is taken away once; one that the joint fit does not miss is dropped
-slow        effects that a beginning hardly shows compete once more, on everything
+late        effects that a beginning hardly shows, or was not sure of, compete on everything
 vehicle     a load with a mass, on which a cause was tried, is a cause too where it is needed
 name        what is smaller than every rig has is absorbed, or gives its name to what carries it
 """

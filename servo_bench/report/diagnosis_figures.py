@@ -145,6 +145,8 @@ def _draw_blocks(axes: Axes, played: Round, chosen: Contender | None) -> None:
         gained = (costs - chosen.costs)[judged]
         gained = np.sort(np.sign(gained) * np.sqrt(np.abs(gained)))
         axes.plot(gained, color=colour, linestyle=dash, label=label)
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.25 * (high - low))  # room for the legend
     axes.legend(loc="upper left", fontsize=6.5)
 
 

@@ -8,9 +8,10 @@ from matplotlib.figure import Figure
 
 from servo_bench.diagnosis.bounces import on_other_faces
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
-from servo_bench.diagnosis.finding import accepted_of, find_causes, nothing_told, unsure
+from servo_bench.diagnosis.finding import accepted_of, find_causes, nothing_told
 from servo_bench.diagnosis.hypotheses import Hypothesis, Trial, hypotheses, scales_of
 from servo_bench.diagnosis.joint import Named, fit_jointly, own_unknowns
+from servo_bench.diagnosis.late import unsure
 from servo_bench.diagnosis.rounds import Contender, Round, faced, merged
 from servo_bench.diagnosis.runoff import run_off
 from servo_bench.diagnosis.seeking import Found, seek

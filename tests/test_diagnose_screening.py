@@ -6,8 +6,9 @@ import pytest
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.finding import find_causes
 from servo_bench.diagnosis.gap import play_gap
-from servo_bench.diagnosis.gate import RIGHT
+from servo_bench.diagnosis.gate import RIGHT, material_sizes
 from servo_bench.diagnosis.hypotheses import Hypothesis, Scales, Trial, hypotheses, scales_of
+from servo_bench.diagnosis.rounds import play_round
 from servo_bench.diagnosis.screening import Screened, screen, towards
 from servo_bench.diagnosis.seeking import Found, seek
 from servo_bench.diagnosis.unknowns import nuisances
@@ -67,6 +68,26 @@ def test_a_trial_is_as_strong_as_what_is_there_and_what_is_added_and_never_less_
     assert trial.on(model).effects["coulomb"].torque_nm == pytest.approx(torque_nm)
 
 
+@pytest.mark.parametrize(("compliance", "hub"), [(0.045, 0.3), (0.012, 0.45)])
+def test_a_resonance_is_sought_from_trials_as_they_were_tried(
+    compliance: float, hub: float
+) -> None:
+    """No part of a resonance's template is another resonance, and the valleys are narrow."""
+    mass = hub * NOMINAL.inertia_kg_m2
+    table = {"compliance_rad_per_nm": compliance, "load_inertia_kg_m2": mass, "damping_s": 1e-4}
+    soft = MODEL.with_effect("coupling_compliance", **table)
+    seen, base, tried, scales = rested(soft, 35, band_of="lag")
+    coupling = [h for h in tried if h.effect == "coupling_compliance"]
+    found = play_round(seen, base, coupling, material_sizes(scales), lambda _: None)
+    near = found.screened[0].tried
+    sizes = {float(t.settings["compliance_rad_per_nm"]) for t in coupling[0].trials}
+    assert {float(t.settings["compliance_rad_per_nm"]) for t in near} <= sizes
+    assert 2 <= len(near) == len(set(map(repr, near))) <= 4
+    swinging = found.contenders[0].found.model.effects["coupling_compliance"]
+    assert swinging.compliance_rad_per_nm == pytest.approx(compliance, rel=0.1)
+    assert swinging.load_inertia_kg_m2 == pytest.approx(mass, rel=0.1)
+
+
 @pytest.mark.parametrize(("share", "named"), [(0.045, True), (-0.045, True), (0.0, False)])
 def test_a_gap_that_is_a_little_wrong_is_a_cause_where_nothing_else_is(
     share: float, *, named: bool
@@ -86,8 +107,8 @@ def test_what_promised_less_has_its_turn_where_nothing_held_what_it_promised(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A rig that rubs, and a gate that lets nothing pass."""
-    for gate in ("passes", "promises"):
-        monkeypatch.setattr(f"servo_bench.diagnosis.finding.{gate}", lambda *_, **__: False)
+    for gate in ("finding.passes", "late.passes", "late.promises"):
+        monkeypatch.setattr(f"servo_bench.diagnosis.{gate}", lambda *_, **__: False)
     hidden = MODEL.with_effect("coulomb", torque_nm=0.03)
     run = recorded(hidden, 34, slots=SLOTS)
     finding = find_causes([run], MODEL, only=("coulomb", "viscous", "stribeck", "load_friction"))

@@ -1,5 +1,7 @@
 """Searching, weighing, and what a held-out recording may do: nothing but measure the gain."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,7 @@ from servo_bench.diagnosis.gate import (
 )
 from servo_bench.diagnosis.hypotheses import Scales, Trial, hypotheses
 from servo_bench.diagnosis.judgement import quantities, standard_errors, verdict_of
-from servo_bench.diagnosis.rounds import play_round
+from servo_bench.diagnosis.rounds import faced, play_round
 from servo_bench.diagnosis.seeking import Found, roam, seek, settle
 from servo_bench.diagnosis.unknowns import Unknown, nuisances, widened
 from sim_rig.model import Model
@@ -297,3 +299,28 @@ def test_what_the_base_had_left_to_gain_is_no_contenders_merit() -> None:
         without = one.found.model.without(one.effect)
         less = seek(seen, without, base.unknowns, played.sigma, iterations=2, first=2)
         assert played.base.cost < 1.001 * less.cost
+
+
+@pytest.mark.parametrize(
+    ("effect", "seen_z", "held_z", "held_gain", "slow"),
+    [
+        ("thermal_torque_constant", 0.0, 17.5, 0.13, True),
+        ("thermal_friction", -0.5, 9.0, 0.06, True),
+        ("thermal_torque_constant", -3.0, 17.5, 0.13, False),
+        ("thermal_torque_constant", 0.0, 5.0, 0.13, False),
+        ("thermal_torque_constant", 0.0, 17.5, 0.01, False),
+        ("encoder_eccentricity", 0.0, 17.5, 0.13, False),
+    ],
+)
+def test_what_warms_may_be_told_by_what_came_later_alone(
+    effect: str, seen_z: float, held_z: float, held_gain: float, *, slow: bool
+) -> None:
+    """A constant within its band takes the mean of a drift that is fitted, and foretells nothing of
+    how it goes on; an angle's error once a turn goes on nowhere."""
+    seen = evidence(29, MODEL)
+    base = seek(seen, MODEL, nuisances(0.05, 3.0, NOMINAL.backlash_gap_rad), iterations=0)
+    (hypothesis,) = hypotheses(SCALES, only=(effect,))
+    one = faced(seen, base, [(base, hypothesis)]).contenders[0]
+    told = replace(one, seen_z=seen_z, held_z=held_z, seen_gain=0.0, held_gain=held_gain)
+    assert passes_slowly(told) is slow
+    assert not passes(told)

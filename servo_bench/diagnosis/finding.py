@@ -5,7 +5,7 @@
     hygiene     lost commands are put right and counted
     rounds      screen, fit, compete, accept; what is there but too small to matter is absorbed
     whole       everything accepted, on all that was recorded, in fine steps; backward deletion;
-                a cause against its near rivals (`runoff`); what only all of it shows
+                a cause against its near rivals (`runoff`); what only all of it shows (`late`)
     lattice     of the load angle, where the simulation with its causes does not stand on it too
     judgement   named, none, or unknown; confidence, rivals, limits, gain on data no fit saw
 
@@ -25,33 +25,30 @@ import numpy as np
 from servo_bench.diagnosis.allowance import SCALES
 from servo_bench.diagnosis.bounces import bounces
 from servo_bench.diagnosis.classes import class_of
-from servo_bench.diagnosis.coasting import OTHERWISE, is_coasting, with_coasting
+from servo_bench.diagnosis.coasting import is_coasting, with_coasting
 from servo_bench.diagnosis.comparison import Choice, compare
 from servo_bench.diagnosis.crossing import crossing_s
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
-from servo_bench.diagnosis.gap import play_gap
 from servo_bench.diagnosis.gate import (
+    MOST_CAUSES,
     RIGHT,
     is_noted,
     material_sizes,
     misfit,
     passes,
     passes_slowly,
-    promises,
 )
 from servo_bench.diagnosis.hygiene import Lattice, LostCommands, lattice, wild_samples
 from servo_bench.diagnosis.hypotheses import Hypothesis, Scales, hypotheses
 from servo_bench.diagnosis.joint import (
-    BEHIND,
-    SLOW,
     Named,
     fit_jointly,
     is_worth_it,
     needed_vehicle,
     own_unknowns,
-    play_late_round,
     worth_a_name,
 )
+from servo_bench.diagnosis.late import asked_again, asked_late, unsure
 from servo_bench.diagnosis.orders import USUAL, OrderLine, Tone, load_lines, tone
 from servo_bench.diagnosis.readying import (
     filled_again,
@@ -72,13 +69,13 @@ from servo_bench.diagnosis.rows import Array
 from servo_bench.diagnosis.runoff import run_off
 from servo_bench.diagnosis.seeking import Found, seek
 from servo_bench.diagnosis.thinning import rows_to_a_command, thinned
+from servo_bench.diagnosis.ticks import ticks
 from servo_bench.diagnosis.unevenness import unevenness
 from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 
 MOST_ROUNDS = 5
-MOST_CAUSES = 3
 TURNS = 3
 """After a round in which nothing held what it promised, what promised less has so many more, while
 the simulation is wrong by more than it may be."""
@@ -168,21 +165,25 @@ def find_causes(
         whole = evidence_of(recordings, final.model, block=block)
         final, named = fit_jointly(whole, final, named, band, report)
     final, named = run_off(whole, final, named, band, report)
-    if not named:  # a line of its error may repeat with the shaft by chance
-        final = with_coasting(whole, final)
-    late = _asked_late(whole, final, (named, unsure(failed)), candidates, scales, report=report)
+    plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
+    late = None
+    if absorbed and not named:
+        late = asked_again(whole, plain, absorbed, candidates, scales, report=report)
+        absorbed = absorbed if late is None else []
+    if late is None:
+        # without a cause a line of its error may repeat with the shaft by chance
+        final = final if named else with_coasting(whole, final)
+        known = (named, unsure(failed))
+        late = asked_late(whole, final, known, candidates, scales, report=report)
     if late is not None:
         rounds.append(late.round)
         final, named = fit_jointly(whole, late.contender.found, [*named, late], band, report)
         absorbed = [effect for effect in absorbed if effect != late.effect]
     if not is_coasting(final.model):  # its contact is no vehicle that a cause was tried on
         named += needed_vehicle(whole, final, named, band, report)
-    plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
     before = misfit(whole, plain.errors)
-    absorbed += [n.effect for n in named if not is_worth_it(n, final, scales)]
-    absorbed += [n.effect for n in named if not is_noted(n.effect, before)]
-    named = [n for one in named for n in worth_a_name(one, final, scales)]
-    named = [n for n in named if is_noted(n.effect, before)]
+    named, small = _worth_telling(named, final, before, scales)
+    absorbed += small
     # judged beside what is known now: a motor that sticks stands on the command's own steps
     grid = None if "quantisation" in without else lattice(whole.fitted[0], final.model)
     report("coasting")
@@ -216,38 +217,25 @@ def find_causes(
     )
 
 
-def _asked_late(
-    whole: Evidence,
-    final: Found,
-    known: tuple[Sequence[Named], frozenset[str]],
-    candidates: Sequence[Hypothesis],
-    scales: Scales,
-    *,
-    report: Told,
-) -> Named | None:
-    """A cause that only all of the recording shows: a slow one, one that the beginning could not be
-    sure of, or where nothing else is wrong a gap that is so by a little."""
-    named, open_ = known
-    if len(named) == MOST_CAUSES:
-        return None
-    slow = SLOW | BEHIND if is_coasting(final.model) else SLOW
-    open_ -= slow | (OTHERWISE if is_coasting(final.model) else frozenset())
-    out = frozenset().union(*(class_of(n.effect) for n in named))
-    late = [h for h in candidates if h.effect in (slow | open_) - out]
-    found = play_late_round(whole, final, late, scales, unsure=open_, report=report)
-    return found or (None if named else play_gap(whole, final, candidates, scales))
-
-
-def unsure(failed: Sequence[Round]) -> frozenset[str]:
-    """What rounds that ended without a cause were not sure of: it explains much of what no fit saw,
-    and the beginning of the recording did not have enough of what shows it."""
-    found = {c.effect for r in failed for c in r.contenders if promises(c)}
-    return frozenset(found | {REFINES[effect] for effect in found & REFINES.keys()})
+def _worth_telling(
+    named: Sequence[Named], final: Found, before: Array, scales: Scales
+) -> tuple[list[Named], list[str]]:
+    """Causes that are worth a name in the final fit, or what they need beside them; and effects
+    that are too small for one."""
+    noted = [n for n in named if is_noted(n.effect, before)]
+    small = [n.effect for n in named if not is_noted(n.effect, before)]
+    small += [n.effect for n in noted if not is_worth_it(n, final, scales)]
+    return [n for one in noted for n in worth_a_name(one, final, scales)], small
 
 
 def _beside(whole: Evidence, model: Model, scales: Scales) -> Array:
     """What this very model may miss beside what every right one may, in the signals' units."""
-    return np.hypot(bounces(whole, model), unevenness(whole, model, scales.rig_torque_nm))
+    beside = (
+        bounces(whole, model),
+        unevenness(whole, model, scales.rig_torque_nm),
+        ticks(whole, model),
+    )
+    return np.asarray(np.linalg.norm(beside, axis=0))
 
 
 def _need_command(recordings: Sequence[Recording]) -> None:

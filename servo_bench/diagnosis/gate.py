@@ -21,15 +21,24 @@ from sim_rig.model import Model
 SEEN_Z, HELD_Z = 4.0, 3.0
 HELD_GAIN, SECOND_GAIN, FURTHER_GAIN = 0.004, 0.04, 0.05
 """Of the held-out cost: of the first cause, of a second one, and where little is wrong any more."""
+MOST_CAUSES = 3
 MOST_OF_IT, MUCH = 0.5, 0.1
 """Who explains so much of what was seen need not be as sure on the rest."""
 RIGHT = 1.1
 """Largest misfit, in what a right simulation may miss, of a simulation that is called right."""
 HALF, A_FIFTH = 0.5, 0.2
+WARMING, FORETOLD_Z = frozenset({"thermal_friction", "thermal_torque_constant"}), 8.0
+"""What goes on one way as the rig warms; and how sure what it foretold must be where only that
+tells of it."""
 LINES = frozenset({"cogging", "torque_ripple"})
 """A line at an order of the shaft is like nothing else, so that their sizes are low: from little
 more than what every rig of the trials has beside its drawing (0.13 mN m) to six times that, by the
 rig's torque. Half of them is not enough."""
+WITHIN = frozenset(
+    {"coulomb", "viscous", "current_loop_lag", "velocity_filter_lag", "transport_delay"}
+)
+"""What is free in every fit up to nearly such a size: half of it is what every rig has, however
+much its shape may gain where little is wrong."""
 
 
 def material_sizes(s: Scales) -> dict[str, float]:
@@ -84,7 +93,8 @@ nothing of a lighter one, which every rig has, and which coasts (`coasting`)."""
 def is_material(model: Model, effect: str, scales: Scales, held_gain: float = 0.0) -> bool:
     """Whether an effect of that strength is worth a name on this rig.
 
-    Half of it is enough where the effect takes a fifth of all that is wrong.
+    Half of it is enough where the effect takes a fifth of all that is wrong, and where half of it
+    is more than what every fit has free.
     """
     sizes = material_sizes(scales)
     if effect == VEHICLE and strength_of(model, "load_friction") > HALF * sizes["load_friction"]:
@@ -92,7 +102,7 @@ def is_material(model: Model, effect: str, scales: Scales, held_gain: float = 0.
     if effect in SPRINGS and held_gain < GIVE:
         return False
     size = sizes.get(effect, 0.0)
-    enough = HALF if held_gain > A_FIFTH and effect not in LINES else 1.0
+    enough = HALF if held_gain > A_FIFTH and effect not in LINES | WITHIN else 1.0
     return abs(strength_of(model, effect)) >= enough * size
 
 
@@ -117,7 +127,21 @@ def passes_slowly(contender: Contender) -> bool:
 
     It takes a small share of the cost, because the record shows but a part of it.
     """
-    return contender.held_gain > HELD_GAIN and _sure(contender)
+    return (contender.held_gain > HELD_GAIN and _sure(contender)) or _goes_on(contender)
+
+
+def _goes_on(contender: Contender) -> bool:
+    """Whether what warms foretells what came later, and what was fitted does not speak against it.
+
+    A constant that is wrong by the mean of what was fitted takes all of a slow change there, and
+    misses the later part by as much as it went on.
+    """
+    return (
+        contender.effect in WARMING
+        and contender.seen_z > -0.5 * HELD_Z
+        and contender.held_z > FORETOLD_Z
+        and contender.held_gain > FURTHER_GAIN
+    )
 
 
 def _sure(contender: Contender) -> bool:

@@ -1,13 +1,12 @@
-"""All that was accepted, on all that was recorded: what is needed, what carries it, what is late.
+"""All that was accepted, on all that was recorded: what is needed, and what carries it.
 
 joint fit   every open number at once, in fine steps, until nothing helps (`settle`)
 deletion    each cause is taken away once; one that the joint fit does not miss is dropped
-late        effects that a beginning hardly shows, or was not sure of, compete on everything
 vehicle     a load with a mass, on which a cause was tried, is a cause too where it is needed
 name        what is smaller than every rig has is absorbed, or gives its name to what carries it
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,29 +18,14 @@ from servo_bench.diagnosis.gate import (
     RIGHT,
     is_felt,
     is_material,
-    material_sizes,
     misfit,
-    passes_slowly,
-    promises,
 )
-from servo_bench.diagnosis.hypotheses import VEHICLE, Hypothesis, Scales
-from servo_bench.diagnosis.rounds import Contender, Round, Told, merged, play_round
+from servo_bench.diagnosis.hypotheses import VEHICLE, Scales
+from servo_bench.diagnosis.rounds import Contender, Round, Told, merged
 from servo_bench.diagnosis.seeking import Found, seek, settle
 from servo_bench.diagnosis.unknowns import Unknown
 
 NEEDED_Z, NEEDED_SHARE = 4.0, 0.01
-SLOW_GAIN = 3e-4
-"""Screened gain below which nothing slow is fitted: a record shows but a part of what it does."""
-SLOW = frozenset(
-    {
-        *("thermal_friction", "thermal_torque_constant", "clock_skew"),
-        *("encoder_eccentricity", "misalignment", "position_backlash"),
-    }
-)
-"""What a recording's beginning hardly shows, because it warms slowly or turns but a few times:
-asked once more of all that was recorded."""
-BEHIND = frozenset({"backlash_width", "encoder_subdivision"})
-"""What is small beside a load that coasts, and asked once more where that is known."""
 CARRIERS = {"anti_windup": "current_limit"}
 """Effects that act beside another only, which is a cause by itself."""
 
@@ -85,32 +69,6 @@ def fit_jointly(
             kept.remove(one)
             final = less
     return final, kept
-
-
-def play_late_round(
-    whole: Evidence,
-    final: Found,
-    late: Sequence[Hypothesis],
-    scales: Scales,
-    *,
-    unsure: Collection[str],
-    report: Told,
-) -> Named | None:
-    """What takes longer than a recording's beginning, or what that was `unsure` of, beside
-    everything that was found."""
-    if not late:
-        return None
-    base = seek(whole, final.model, final.unknowns, final.sigma, iterations=1, first=3)
-    sizes = material_sizes(scales)
-    played = play_round(
-        whole, base, late, sizes, lambda what: report(f"late effects: {what}"), least=SLOW_GAIN
-    )
-    for found in played.contenders:
-        named = Named(found.effect, played, found, own_unknowns(found, found.effect))
-        sure = passes_slowly(found) and (found.effect not in unsure or promises(found))
-        if sure and is_worth_it(named, found.found, scales):
-            return named
-    return None
 
 
 def own_unknowns(contender: Contender, effect: str) -> tuple[Unknown, ...]:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from servo_bench.diagnosis.evidence import Errors, Evidence, block_z
-from servo_bench.diagnosis.hypotheses import SPRINGS, VEHICLE, Hypothesis
+from servo_bench.diagnosis.hypotheses import SPRINGS, VEHICLE, Hypothesis, Trial
 from servo_bench.diagnosis.rows import Array
 from servo_bench.diagnosis.screening import Screened, screen
 from servo_bench.diagnosis.seeking import Found, seek, settle
@@ -219,19 +219,31 @@ def _most(one: Screened, sizes: Mapping[str, float]) -> float:
 
 
 def _fitted(quick: Evidence, base: Found, one: Screened) -> Found:
-    """From the best of a few sizes: what a template foretells is often too much."""
-    unknowns = merged(base.unknowns, one.hypothesis.unknowns(base.model, one.trial))
+    """From the best of a few sizes: what a template foretells is often too much. What is steep is
+    sought from each of its trials."""
+    if one.tried:
+        ends = [_from(quick, base, one.hypothesis, trial, [trial]) for trial in one.tried]
+        return min(ends, key=lambda end: end.cost)
+    masses = MASSES if VEHICLE in one.trial.beside else (1.0,)
+    starts = [one.trial.times(s).carrying(m) for s, m in product(STARTS, masses)]
+    return _from(quick, base, one.hypothesis, one.trial, starts)
+
+
+def _from(
+    quick: Evidence, base: Found, hypothesis: Hypothesis, trial: Trial, starts: Sequence[Trial]
+) -> Found:
+    """The search from the best of its starts. Raises FitError where none can be on this rig."""
+    unknowns = merged(base.unknowns, hypothesis.unknowns(base.model, trial))
     models = []
-    for share, mass in product(STARTS, MASSES if VEHICLE in one.trial.beside else (1.0,)):
+    for start in starts:
         try:
-            models.append(one.trial.times(share).carrying(mass).on(base.model))
+            models.append(start.on(base.model))
         except SimRigError:
             continue
     if not models:
-        raise FitError(f"{one.hypothesis.effect} can be tried on this rig at no size.")
+        raise FitError(f"{hypothesis.effect} can be tried on this rig at no size.")
     costs = [errors.cost(base.sigma) for errors in quick.seen(models)]
-    model = models[int(np.argmin(costs))]
-    return seek(quick, model, unknowns, base.sigma, iterations=2)
+    return seek(quick, models[int(np.argmin(costs))], unknowns, base.sigma, iterations=2)
 
 
 def _again(quick: Evidence, one: Screened, found: Found, sigma: Array) -> Found:

@@ -7,6 +7,10 @@ N the nuisances' secants, d their change under what is believed of them: one
 that stands at its bound, because it stood in for the cause, comes back from there. Templates are of
 finite size, because limits and gaps have no slope at zero; a saturates, a in [0.3, 1.5] (an effect
 with a phase spans two templates, and is linear enough to be taken whole).
+
+What is steep (a resonance, a clock whose commands cross the samples) has no templates worth the
+name: a tells that something of the kind is there, and nothing of its size. Its searches start at
+trials as they were tried, those that come nearest and those that promise most.
 """
 
 from collections.abc import Sequence
@@ -17,7 +21,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from servo_bench.diagnosis.evidence import KNEE, Errors, Evidence
-from servo_bench.diagnosis.hypotheses import Hypothesis, Trial
+from servo_bench.diagnosis.hypotheses import SPRINGS, Hypothesis, Trial
 from servo_bench.diagnosis.rows import Array
 from servo_bench.diagnosis.seeking import Found
 from servo_bench.diagnosis.unknowns import Unknown
@@ -30,14 +34,26 @@ SMALLEST = 0.1
 QUARTER, RIDGE = np.pi / 2.0, 1e-6
 AT_BOUND = 0.02
 """Nearer to a bound than this share of the band is at it."""
+STEEP, NEAREST = frozenset({*SPRINGS, "clock_skew"}), 2
+"""What is sought from trials at their own size; and from how many of each kind."""
 
 
 class Screened(NamedTuple):
-    """One hypothesis at its best trial. `gain` is a share of the base's cost, 0 to 1."""
+    """One hypothesis at its best trial. `gain` is a share of the base's cost, 0 to 1; `tried` are
+    trials at their own size, where a search starts better than at those of a template."""
 
     hypothesis: Hypothesis
     trial: Trial
     gain: float
+    tried: tuple[Trial, ...] = ()
+
+
+class _Tried(NamedTuple):
+    """A trial at its own size: what it promises, and what it leaves while nothing else moves."""
+
+    trial: Trial
+    gain: float
+    cost: float
 
 
 def screen(
@@ -56,16 +72,30 @@ def screen(
     played = iter(evidence.seen(models))
     found: dict[str, Screened] = {}
     solvers: dict[str, _Beside] = {}
+    steep: dict[str, list[_Tried]] = {}
     for hypothesis, pair in usable:
         if hypothesis.effect not in solvers:
             solvers[hypothesis.effect] = _Beside(base, hypothesis.effect)
-        gain, amounts = solvers[hypothesis.effect].gain([next(played) for _ in pair])
+        errors = [next(played) for _ in pair]
+        gain, amounts = solvers[hypothesis.effect].gain(errors)
         one = pair[0]
+        if hypothesis.effect in STEEP:
+            tried = _Tried(one, gain, errors[0].cost(base.sigma))
+            steep.setdefault(hypothesis.effect, []).append(tried)
         trial = _at_phase(one, amounts) if len(pair) == 2 else towards(one, base.model, amounts[0])
         best = found.get(hypothesis.effect)
         if best is None or gain > best.gain:
             found[hypothesis.effect] = Screened(hypothesis, trial, gain)
+    for effect, each in steep.items():
+        found[effect] = found[effect]._replace(tried=_starts(each))
     return tuple(sorted(found.values(), key=lambda s: -s.gain))
+
+
+def _starts(tried: Sequence[_Tried]) -> tuple[Trial, ...]:
+    """Those that come nearest, and those that promise most, once each."""
+    near = sorted(tried, key=lambda t: t.cost)[:NEAREST]
+    rest = sorted((t for t in tried if t not in near), key=lambda t: -t.gain)[:NEAREST]
+    return tuple(t.trial for t in (*near, *rest))
 
 
 def _phased(hypothesis: Hypothesis) -> list[tuple[Trial, ...]]:

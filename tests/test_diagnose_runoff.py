@@ -11,7 +11,7 @@ from servo_bench.diagnosis.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.finding import accepted_of, find_causes, nothing_told
 from servo_bench.diagnosis.hypotheses import Hypothesis, Trial, hypotheses, scales_of
 from servo_bench.diagnosis.joint import Named, fit_jointly, own_unknowns
-from servo_bench.diagnosis.late import unsure
+from servo_bench.diagnosis.late import hidden_by_coasting, unsure
 from servo_bench.diagnosis.rounds import Contender, Round, faced, merged
 from servo_bench.diagnosis.runoff import run_off
 from servo_bench.diagnosis.seeking import Found, seek
@@ -131,6 +131,26 @@ def test_what_explained_much_of_what_no_fit_saw_is_asked_again_beside_its_plain_
 
     assert unsure([having(0.3, 6.0)]) == {"stribeck", "coulomb"}
     assert unsure([having(0.3, 1.0), having(0.1, 6.0)]) == set()
+
+
+@pytest.mark.parametrize(
+    ("seen_z", "seen_gain", "held_gain", "asked"),
+    [
+        (5.0, 0.1, -0.2, True),
+        (5.0, 0.0, 0.1, True),
+        (5.0, 0.02, 0.03, False),
+        (1.0, 0.1, 0.1, False),
+    ],
+)
+def test_what_took_some_of_the_error_is_asked_again_where_a_load_coasts(
+    seen_z: float, seen_gain: float, held_gain: float, *, asked: bool
+) -> None:
+    """A load that coasts takes the place of what acts on the load, which is not asked."""
+    played = no_better_than_the_base("coupling_compliance", "load_friction")
+    showed = {"seen_z": seen_z, "seen_gain": seen_gain, "held_gain": held_gain}
+    both = tuple(showing(played, c.effect, **showed) for c in played.contenders)
+    found = hidden_by_coasting([replace(played, contenders=both)])
+    assert found == ({"coupling_compliance"} if asked else set())
 
 
 @pytest.mark.parametrize(

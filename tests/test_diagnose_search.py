@@ -1,7 +1,5 @@
 """Searching, weighing, and what a held-out recording may do: nothing but measure the gain."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -16,7 +14,7 @@ from servo_bench.diagnosis.gate import (
 )
 from servo_bench.diagnosis.hypotheses import Scales, Trial, hypotheses
 from servo_bench.diagnosis.judgement import quantities, standard_errors, verdict_of
-from servo_bench.diagnosis.rounds import faced, play_round
+from servo_bench.diagnosis.rounds import play_round
 from servo_bench.diagnosis.seeking import Found, roam, seek, settle
 from servo_bench.diagnosis.unknowns import Unknown, nuisances, widened
 from sim_rig.model import Model
@@ -106,12 +104,17 @@ def test_a_spring_is_no_cause_where_nothing_is_wrong() -> None:
 
 @pytest.mark.parametrize(
     ("effect", "strength", "enough"),
-    [("cogging", "torque_nm", False), ("gravity_imbalance", "torque_nm", True)],
+    [
+        ("cogging", "torque_nm", False),
+        ("coulomb", "torque_nm", False),
+        ("transport_delay", "delay_s", False),
+        ("gravity_imbalance", "torque_nm", True),
+    ],
 )
-def test_half_a_size_is_enough_where_much_is_explained_but_for_a_line(
+def test_half_a_size_is_enough_where_much_is_explained_but_for_what_every_rig_has(
     effect: str, strength: str, *, enough: bool
 ) -> None:
-    """Every motor has some of every line, so much of the cost or not."""
+    """Every motor has some of every line, and some friction and delay: much of the cost or not."""
     size = material_sizes(SCALES)[effect]
     half, whole = (MODEL.with_effect(effect, **{strength: k * size}) for k in (0.6, 1.1))
     assert is_material(half, effect, SCALES, held_gain=0.5) is enough
@@ -299,28 +302,3 @@ def test_what_the_base_had_left_to_gain_is_no_contenders_merit() -> None:
         without = one.found.model.without(one.effect)
         less = seek(seen, without, base.unknowns, played.sigma, iterations=2, first=2)
         assert played.base.cost < 1.001 * less.cost
-
-
-@pytest.mark.parametrize(
-    ("effect", "seen_z", "held_z", "held_gain", "slow"),
-    [
-        ("thermal_torque_constant", 0.0, 17.5, 0.13, True),
-        ("thermal_friction", -0.5, 9.0, 0.06, True),
-        ("thermal_torque_constant", -3.0, 17.5, 0.13, False),
-        ("thermal_torque_constant", 0.0, 5.0, 0.13, False),
-        ("thermal_torque_constant", 0.0, 17.5, 0.01, False),
-        ("encoder_eccentricity", 0.0, 17.5, 0.13, False),
-    ],
-)
-def test_what_warms_may_be_told_by_what_came_later_alone(
-    effect: str, seen_z: float, held_z: float, held_gain: float, *, slow: bool
-) -> None:
-    """A constant within its band takes the mean of a drift that is fitted, and foretells nothing of
-    how it goes on; an angle's error once a turn goes on nowhere."""
-    seen = evidence(29, MODEL)
-    base = seek(seen, MODEL, nuisances(0.05, 3.0, NOMINAL.backlash_gap_rad), iterations=0)
-    (hypothesis,) = hypotheses(SCALES, only=(effect,))
-    one = faced(seen, base, [(base, hypothesis)]).contenders[0]
-    told = replace(one, seen_z=seen_z, held_z=held_z, seen_gain=0.0, held_gain=held_gain)
-    assert passes_slowly(told) is slow
-    assert not passes(told)

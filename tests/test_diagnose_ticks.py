@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
-from servo_bench.diagnosis.ticks import COARSE_S, MOST, ticks
+from servo_bench.diagnosis.ticks import COARSE_S, ticks
 from sim_rig.model import Model
-from tests.fit_recordings import NOMINAL, PERIOD_S, commands, recorded
+from tests.fit_recordings import NOMINAL, PERIOD_S, STANDSTILL, commands, recorded
 
 MODEL = Model(NOMINAL)
-WALKING = MODEL.with_effect("clock_skew", skew_fraction=2e-5)
+WALKING_FAR = MODEL.with_effect("clock_skew", skew_fraction=5e-5)
 SEED, SLOTS, MEAN = 6, 900, 6
 
 
@@ -25,12 +25,27 @@ def test_an_unknown_delay_moves_an_angle_by_velocity_times_delay(seen: Evidence)
     between = np.abs(velocity[MEAN:] - velocity[:-MEAN])
     late_s = COARSE_S / np.sqrt(12.0)
     wanted = 1.4826 * float(np.median(between)) * late_s / (MEAN * PERIOD_S)
-    found = dict(zip(seen.names, ticks(seen, WALKING), strict=True))
+    found = dict(zip(seen.names, ticks(seen, WALKING_FAR), strict=True))
     assert found["motor velocity over 48 ms"] == pytest.approx(wanted, rel=0.3)
-    assert (ticks(seen, WALKING) <= MOST * seen.allowed).all()
 
 
-@pytest.mark.parametrize("delay_s", [0.0, 1e-4])
-def test_where_no_clock_walks_the_delay_is_known(seen: Evidence, delay_s: float) -> None:
-    late = MODEL.with_effect("transport_delay", delay_s=delay_s)
+@pytest.mark.parametrize("skew_fraction", [0.0, 1e-12])
+def test_where_no_clock_walks_the_delay_is_known(seen: Evidence, skew_fraction: float) -> None:
+    late = MODEL.with_effect("transport_delay", delay_s=1e-4)
+    found = ticks(seen, late.with_effect("clock_skew", skew_fraction=skew_fraction))
+    assert float((found / seen.allowed).max()) < 1e-3
     np.testing.assert_array_equal(ticks(seen, late), 0.0)
+
+
+def test_less_than_a_tick_is_walked_past_less_of_it(seen: Evidence) -> None:
+    seconds = (SLOTS + STANDSTILL) * PERIOD_S
+    little = MODEL.with_effect("clock_skew", skew_fraction=0.1 * COARSE_S / seconds)
+    of_it = ticks(seen, little) / np.maximum(ticks(seen, WALKING_FAR), 1e-12)
+    quick = list(seen.names).index("motor velocity over 48 ms")
+    assert of_it[quick] == pytest.approx(0.1, rel=0.3)
+
+
+def test_a_delay_is_never_less_than_none_and_the_other_way_still_counts(seen: Evidence) -> None:
+    late = WALKING_FAR.with_effect("transport_delay", delay_s=5e-4)
+    quick = list(seen.names).index("motor velocity over 48 ms")
+    assert ticks(seen, late)[quick] == pytest.approx(ticks(seen, WALKING_FAR)[quick], rel=0.3)

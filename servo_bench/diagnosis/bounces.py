@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 
 from servo_bench.diagnosis.coasting import is_coasting
-from servo_bench.diagnosis.evidence import Evidence
+from servo_bench.diagnosis.evidence import Evidence, changed_by
 from servo_bench.diagnosis.hypotheses import VEHICLE
 from servo_bench.diagnosis.rows import Array
 from servo_bench.diagnosis.seeking import Found, seek, settle
@@ -61,15 +61,11 @@ def bounces(whole: Evidence, model: Model) -> Array:
     """Robust change of every signal by other faces, the largest of four, within `MOST`; zeros
     without a load of its own. Shape (signals,).
     """
-    none = np.zeros(len(whole.names))
     if VEHICLE not in model.effects or is_coasting(model):
-        return none
+        return np.zeros(len(whole.names))
     params = model.effects[VEHICLE]._asdict()
     others = [
         model.with_effect(VEHICLE, **{**params, name: times * params[name]})
         for name, times in product(NUMBERS, OTHERWISE)
     ]
-    here, *there = whole.seen([model, *others])
-    changes = [1.4826 * np.nanmedian(np.abs(e.rows - here.rows), axis=1) for e in there]
-    largest = np.max([none, *(c for c in changes if np.isfinite(c).all())], axis=0)
-    return np.asarray(np.minimum(largest, MOST * whole.allowed))
+    return np.asarray(np.minimum(changed_by(whole, model, others), MOST * whole.allowed))

@@ -156,6 +156,20 @@ def median_of(values: Array) -> float:
     return float(np.median(came)) if came.size else 0.0
 
 
+def changed_by(evidence: Evidence, model: Model, others: Sequence[Model]) -> Array:
+    """Largest robust change of every signal that one of `others` makes, shape (signals,); none of a
+    signal without a point, nor by a model that ran away."""
+    here, *there = evidence.seen([model, *others])
+    largest = np.zeros(len(evidence.names))
+    for errors in there:
+        changed = np.abs(errors.rows - here.rows)
+        known = np.isfinite(changed).any(axis=1)
+        if not errors.ran_away:
+            change = 1.4826 * np.nanmedian(changed[known], axis=1)
+            largest[known] = np.maximum(largest[known], change)
+    return largest
+
+
 def robust_cost(white: Array) -> Array:
     """rho, point by point."""
     return np.asarray(2.0 * KNEE**2 * (np.hypot(1.0, white / KNEE) - 1.0))

@@ -32,6 +32,7 @@ from servo_bench.diagnosis.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.gate import (
     MOST_CAUSES,
     RIGHT,
+    RIGHT_ALREADY,
     is_noted,
     material_sizes,
     misfit,
@@ -48,7 +49,7 @@ from servo_bench.diagnosis.joint import (
     own_unknowns,
     worth_a_name,
 )
-from servo_bench.diagnosis.late import asked_again, asked_late, unsure
+from servo_bench.diagnosis.late import Late, asked_again, asked_late, hidden_by_coasting, unsure
 from servo_bench.diagnosis.orders import USUAL, OrderLine, Tone, load_lines, tone
 from servo_bench.diagnosis.readying import (
     filled_again,
@@ -79,10 +80,8 @@ MOST_ROUNDS = 5
 TURNS = 3
 """After a round in which nothing held what it promised, what promised less has so many more, while
 the simulation is wrong by more than it may be."""
-RIGHT_ALREADY = 0.7
-"""Misfit below which a simulation with a cause named already needs good reasons for another."""
 FURTHER_PROMISE = 0.008
-"""Screened gain below which a further cause is then not even fitted."""
+"""Screened gain below which a further cause is not even fitted where all is right already."""
 
 
 @dataclass(frozen=True)
@@ -166,31 +165,28 @@ def find_causes(
         final, named = fit_jointly(whole, final, named, band, report)
     final, named = run_off(whole, final, named, band, report)
     plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
-    late = None
-    if absorbed and not named:
-        late = asked_again(whole, plain, absorbed, candidates, scales, report=report)
-        absorbed = absorbed if late is None else []
-    if late is None:
-        # without a cause a line of its error may repeat with the shaft by chance
-        final = final if named else with_coasting(whole, final)
-        known = (named, unsure(failed))
-        late = asked_late(whole, final, known, candidates, scales, report=report)
-    if late is not None:
-        rounds.append(late.round)
-        final, named = fit_jointly(whole, late.contender.found, [*named, late], band, report)
-        absorbed = [effect for effect in absorbed if effect != late.effect]
+    before = misfit(whole, plain.errors)
+    late = Late(whole, candidates, scales, band, report)
+    noted = any(is_noted(n.effect, before) for n in named)
+    joint = None if noted else asked_again(late, plain, hidden_by_coasting(rounds))
+    if joint is not None:
+        (final, named), absorbed = joint, []
+        rounds += [n.round for n in named]
+    if not named:  # a line of its error may repeat with the shaft by chance
+        final = with_coasting(whole, final)
+    one = asked_late(late, final, named, unsure(failed))
+    if one is not None:
+        rounds.append(one.round)
+        final, named = fit_jointly(whole, one.contender.found, [*named, one], band, report)
+        absorbed = [effect for effect in absorbed if effect != one.effect]
     if not is_coasting(final.model):  # its contact is no vehicle that a cause was tried on
         named += needed_vehicle(whole, final, named, band, report)
-    before = misfit(whole, plain.errors)
     named, small = _worth_telling(named, final, before, scales)
     absorbed += small
     # judged beside what is known now: a motor that sticks stands on the command's own steps
     grid = None if "quantisation" in without else lattice(whole.fitted[0], final.model)
     report("coasting")
-    if named or absorbed:
-        final = with_coasting(whole, final, to_ask=False)
-    else:
-        final = plain = with_coasting(whole, plain, to_ask=False)
+    final, plain = _at_rest(whole, final, plain, nothing=not (named or absorbed))
     return Finding(
         recordings=recordings,
         held_out=held_out,
@@ -217,13 +213,21 @@ def find_causes(
     )
 
 
+def _at_rest(whole: Evidence, final: Found, plain: Found, *, nothing: bool) -> tuple[Found, Found]:
+    """The final fit and the plain one, with a load that coasts where that is so: where `nothing`
+    was found they are the same."""
+    final = with_coasting(whole, plain if nothing else final, to_ask=False)
+    return final, final if nothing else plain
+
+
 def _worth_telling(
     named: Sequence[Named], final: Found, before: Array, scales: Scales
 ) -> tuple[list[Named], list[str]]:
     """Causes that are worth a name in the final fit, or what they need beside them; and effects
     that are too small for one."""
-    noted = [n for n in named if is_noted(n.effect, before)]
-    small = [n.effect for n in named if not is_noted(n.effect, before)]
+    coasts = is_coasting(final.model)  # what is left beside that is hardly anything else
+    noted = [n for n in named if coasts or is_noted(n.effect, before)]
+    small = [n.effect for n in named if not (coasts or is_noted(n.effect, before))]
     small += [n.effect for n in noted if not is_worth_it(n, final, scales)]
     return [n for one in noted for n in worth_a_name(one, final, scales)], small
 

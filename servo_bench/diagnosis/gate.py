@@ -24,12 +24,10 @@ HELD_GAIN, SECOND_GAIN, FURTHER_GAIN = 0.004, 0.04, 0.05
 MOST_CAUSES = 3
 MOST_OF_IT, MUCH = 0.5, 0.1
 """Who explains so much of what was seen need not be as sure on the rest."""
-RIGHT = 1.1
-"""Largest misfit, in what a right simulation may miss, of a simulation that is called right."""
+RIGHT, RIGHT_ALREADY = 1.1, 0.7
+"""Largest misfit, in what a right simulation may miss, of a simulation that is called right; and
+that below which one needs good reasons for a further cause."""
 HALF, A_FIFTH = 0.5, 0.2
-WARMING, FORETOLD_Z = frozenset({"thermal_friction", "thermal_torque_constant"}), 8.0
-"""What goes on one way as the rig warms; and how sure what it foretold must be where only that
-tells of it."""
 LINES = frozenset({"cogging", "torque_ripple"})
 """A line at an order of the shaft is like nothing else, so that their sizes are low: from little
 more than what every rig of the trials has beside its drawing (0.13 mN m) to six times that, by the
@@ -38,7 +36,8 @@ WITHIN = frozenset(
     {"coulomb", "viscous", "current_loop_lag", "velocity_filter_lag", "transport_delay"}
 )
 """What is free in every fit up to nearly such a size: half of it is what every rig has, however
-much its shape may gain where little is wrong."""
+much its shape may gain where little is wrong. So is a gap, but a little of that is a cause (`gap`).
+"""
 
 
 def material_sizes(s: Scales) -> dict[str, float]:
@@ -127,21 +126,7 @@ def passes_slowly(contender: Contender) -> bool:
 
     It takes a small share of the cost, because the record shows but a part of it.
     """
-    return (contender.held_gain > HELD_GAIN and _sure(contender)) or _goes_on(contender)
-
-
-def _goes_on(contender: Contender) -> bool:
-    """Whether what warms foretells what came later, and what was fitted does not speak against it.
-
-    A constant that is wrong by the mean of what was fitted takes all of a slow change there, and
-    misses the later part by as much as it went on.
-    """
-    return (
-        contender.effect in WARMING
-        and contender.seen_z > -0.5 * HELD_Z
-        and contender.held_z > FORETOLD_Z
-        and contender.held_gain > FURTHER_GAIN
-    )
+    return contender.held_gain > HELD_GAIN and _sure(contender)
 
 
 def _sure(contender: Contender) -> bool:

@@ -20,7 +20,7 @@ from servo_bench.diagnosis.gate import (
     is_material,
     misfit,
 )
-from servo_bench.diagnosis.hypotheses import VEHICLE, Scales
+from servo_bench.diagnosis.hypotheses import SPRINGS, VEHICLE, Scales
 from servo_bench.diagnosis.rounds import Contender, Round, Told, merged
 from servo_bench.diagnosis.seeking import Found, seek, settle
 from servo_bench.diagnosis.unknowns import Unknown
@@ -103,8 +103,15 @@ def _advantage(final: Found, less: Found) -> float:
 
 
 def is_worth_it(one: Named, found: Found, scales: Scales) -> bool:
-    """Whether a cause is larger in this fit than what every rig has."""
-    return is_material(found.model, one.effect, scales, one.contender.held_gain)
+    """Whether a cause is larger in this fit than what every rig has.
+
+    Beside a load that coasts a spring fits nothing else: there what was seen counts as well. Of
+    rigs with nothing wrong it took 2.4 % of that at most, of 14, and of what was held out 12 %.
+    """
+    gain = one.contender.held_gain
+    if one.effect in SPRINGS and is_coasting(found.model):
+        gain = max(gain, one.contender.seen_gain)
+    return is_material(found.model, one.effect, scales, gain)
 
 
 def worth_a_name(one: Named, found: Found, scales: Scales) -> tuple[Named, ...]:

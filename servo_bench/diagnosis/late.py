@@ -8,25 +8,31 @@ gap      where nothing else is wrong: one that is so by a little (`gap`)
 """
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from servo_bench.diagnosis.classes import class_of
 from servo_bench.diagnosis.coasting import OTHERWISE, is_coasting, with_coasting
 from servo_bench.diagnosis.evidence import Evidence
 from servo_bench.diagnosis.gap import play_gap
 from servo_bench.diagnosis.gate import (
+    FURTHER_GAIN,
+    HELD_Z,
     MOST_CAUSES,
+    RIGHT_ALREADY,
     material_sizes,
+    misfit,
     passes,
     passes_slowly,
     promises,
 )
 from servo_bench.diagnosis.hypotheses import Hypothesis, Scales
-from servo_bench.diagnosis.joint import Named, is_worth_it, own_unknowns
+from servo_bench.diagnosis.joint import Named, fit_jointly, is_worth_it, own_unknowns
 from servo_bench.diagnosis.rounds import REFINES, Contender, Round, Told, play_round
 from servo_bench.diagnosis.seeking import Found, seek
+from servo_bench.diagnosis.unknowns import Unknown
 
-SLOW_GAIN = 3e-4
-"""Screened gain below which nothing slow is fitted: a record shows but a part of what it does."""
+LEAST = 3e-4
+"""Screened gain below which nothing is fitted: of what is slow a record shows but a part."""
 SLOW = frozenset(
     {
         *("thermal_friction", "thermal_torque_constant", "clock_skew"),
@@ -39,48 +45,59 @@ BEHIND = frozenset({"backlash_width", "encoder_subdivision"})
 """What is small beside a load that coasts, and asked once more where that is known."""
 
 
+class Late(NamedTuple):
+    """What is asked of all that was recorded, and with what."""
+
+    whole: Evidence
+    candidates: Sequence[Hypothesis]
+    scales: Scales
+    band: Sequence[Unknown]
+    report: Told
+
+
+def hidden_by_coasting(rounds: Sequence[Round]) -> frozenset[str]:
+    """What is asked again where a load coasts, after rounds without a cause: what took some of the
+    error, though it was too small, or not beyond chance but for the part that was fitted."""
+    contenders = [c for played in rounds for c in played.contenders]
+    some = [c for c in contenders if max(c.seen_gain, c.held_gain) > FURTHER_GAIN]
+    return frozenset({c.effect for c in some if c.seen_z > HELD_Z} - OTHERWISE)
+
+
 def asked_again(
-    whole: Evidence,
-    plain: Found,
-    absorbed: Sequence[str],
-    candidates: Sequence[Hypothesis],
-    scales: Scales,
-    *,
-    report: Told,
-) -> Named | None:
+    late: Late, plain: Found, again: frozenset[str]
+) -> tuple[Found, list[Named]] | None:
     """What was too little for a name, once more where the load coasts: without that it stood in for
-    it, or was hidden by it."""
-    coasting = with_coasting(whole, plain)
+    it, or was hidden by it. The joint fit with a cause, where that is better than neither."""
+    coasting = with_coasting(late.whole, plain) if again else plain
     if not is_coasting(coasting.model):
         return None
-    again = [h for h in candidates if h.effect in absorbed and h.effect not in OTHERWISE]
-    return _play_late_round(whole, coasting, again, scales, able=passes, report=report)
+    asked = [h for h in late.candidates if h.effect in again | BEHIND]
+    right = float(misfit(late.whole, coasting.errors).max()) < RIGHT_ALREADY
+    found = _play_late_round(late, coasting, asked, lambda one: passes(one, right=right))
+    if found is None:
+        return None
+    joint, named = fit_jointly(late.whole, found.contender.found, [found], late.band, late.report)
+    better = joint.errors.cost(plain.sigma) < plain.errors.cost(plain.sigma)
+    return (joint, named) if better else None
 
 
 def asked_late(
-    whole: Evidence,
-    final: Found,
-    known: tuple[Sequence[Named], frozenset[str]],
-    candidates: Sequence[Hypothesis],
-    scales: Scales,
-    *,
-    report: Told,
+    late: Late, final: Found, named: Sequence[Named], open_: frozenset[str]
 ) -> Named | None:
     """A cause that only all of the recording shows: a slow one, one that the beginning could not be
     sure of, or where nothing else is wrong a gap that is so by a little."""
-    named, open_ = known
     if len(named) == MOST_CAUSES:
         return None
     slow = SLOW | BEHIND if is_coasting(final.model) else SLOW
-    open_ -= slow | (OTHERWISE if is_coasting(final.model) else frozenset())
+    unsure_of = open_ - slow - (OTHERWISE if is_coasting(final.model) else frozenset())
     out = frozenset().union(*(class_of(n.effect) for n in named))
-    late = [h for h in candidates if h.effect in (slow | open_) - out]
+    asked = [h for h in late.candidates if h.effect in (slow | unsure_of) - out]
 
     def is_able(one: Contender) -> bool:
-        return passes_slowly(one) and (one.effect not in open_ or promises(one))
+        return passes_slowly(one) and (one.effect not in unsure_of or promises(one))
 
-    found = _play_late_round(whole, final, late, scales, able=is_able, report=report)
-    return found or (None if named else play_gap(whole, final, candidates, scales))
+    found = _play_late_round(late, final, asked, is_able)
+    return found or (None if named else play_gap(late.whole, final, late.candidates, late.scales))
 
 
 def unsure(failed: Sequence[Round]) -> frozenset[str]:
@@ -91,24 +108,18 @@ def unsure(failed: Sequence[Round]) -> frozenset[str]:
 
 
 def _play_late_round(
-    whole: Evidence,
-    final: Found,
-    late: Sequence[Hypothesis],
-    scales: Scales,
-    *,
-    able: Callable[[Contender], bool],
-    report: Told,
+    late: Late, final: Found, asked: Sequence[Hypothesis], able: Callable[[Contender], bool]
 ) -> Named | None:
     """The best of these that is `able` and worth a name, beside everything that was found."""
-    if not late:
+    if not asked:
         return None
+    whole, sizes = late.whole, material_sizes(late.scales)
     base = seek(whole, final.model, final.unknowns, final.sigma, iterations=1, first=3)
-    sizes = material_sizes(scales)
     played = play_round(
-        whole, base, late, sizes, lambda what: report(f"late effects: {what}"), least=SLOW_GAIN
+        whole, base, asked, sizes, lambda what: late.report(f"late effects: {what}"), least=LEAST
     )
     for found in played.contenders:
         named = Named(found.effect, played, found, own_unknowns(found, found.effect))
-        if able(found) and is_worth_it(named, found.found, scales):
+        if able(found) and is_worth_it(named, found.found, late.scales):
             return named
     return None

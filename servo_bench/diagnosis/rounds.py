@@ -124,7 +124,7 @@ def play_round(
     """
     told("screening")
     screened = screen(quick, base, hypotheses)
-    able = [s for s in screened if s.gain > WORTH_ANYHOW or s.trial.size > _most(s, sizes)]
+    able = [s for s in screened if s.gain > WORTH_ANYHOW or _largest(s) > _most(s, sizes)]
     worth = [s for s in able if s.gain > max(least, WORTH * able[0].gain)][:FITTED]
     worth += [s for s in able if s.hypothesis.effect in _plain(worth)]
     first: list[tuple[Screened, Found]] = []
@@ -213,6 +213,11 @@ def _plain(found: Sequence[Screened]) -> set[str]:
     return {REFINES[name] for name in names if name in REFINES} - names
 
 
+def _largest(one: Screened) -> float:
+    """Of the sizes that its search would start from."""
+    return max(t.size for t in (one.trial, *one.tried))
+
+
 def _most(one: Screened, sizes: Mapping[str, float]) -> float:
     """Sizes below are not fitted: a template tells a size to within a factor."""
     return 0.6 * sizes.get(one.hypothesis.effect, 0.0)
@@ -220,7 +225,7 @@ def _most(one: Screened, sizes: Mapping[str, float]) -> float:
 
 def _fitted(quick: Evidence, base: Found, one: Screened) -> Found:
     """From the best of a few sizes: what a template foretells is often too much. What is steep is
-    sought from each of its trials."""
+    sought from each of a few trials."""
     if one.tried:
         ends = [_from(quick, base, one.hypothesis, trial, [trial]) for trial in one.tried]
         return min(ends, key=lambda end: end.cost)

@@ -8,9 +8,9 @@ that stands at its bound, because it stood in for the cause, comes back from the
 finite size, because limits and gaps have no slope at zero; a saturates, a in [0.3, 1.5] (an effect
 with a phase spans two templates, and is linear enough to be taken whole).
 
-What is steep (a resonance, a clock whose commands cross the samples) has no templates worth the
-name: a tells that something of the kind is there, and nothing of its size. Its searches start at
-trials as they were tried, those that come nearest and those that promise most.
+What is steep (a resonance, a clock that walks until commands cross the samples) has no templates
+worth the name: a tells that something of the kind is there, and nothing of its size. Its searches
+start at trials as they were tried, those that come nearest and the one that promises most.
 """
 
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ QUARTER, RIDGE = np.pi / 2.0, 1e-6
 AT_BOUND = 0.02
 """Nearer to a bound than this share of the band is at it."""
 STEEP, NEAREST = frozenset({*SPRINGS, "clock_skew"}), 2
-"""What is sought from trials at their own size; and from how many of each kind."""
+"""What is sought from trials at their own size (none has a phase); how many that come near."""
 
 
 class Screened(NamedTuple):
@@ -79,7 +79,7 @@ def screen(
         errors = [next(played) for _ in pair]
         gain, amounts = solvers[hypothesis.effect].gain(errors)
         one = pair[0]
-        if hypothesis.effect in STEEP:
+        if hypothesis.effect in STEEP and np.isfinite(gain):
             tried = _Tried(one, gain, errors[0].cost(base.sigma))
             steep.setdefault(hypothesis.effect, []).append(tried)
         trial = _at_phase(one, amounts) if len(pair) == 2 else towards(one, base.model, amounts[0])
@@ -92,10 +92,10 @@ def screen(
 
 
 def _starts(tried: Sequence[_Tried]) -> tuple[Trial, ...]:
-    """Those that come nearest, and those that promise most, once each."""
+    """Those that come nearest, and of the others the one that promises most."""
     near = sorted(tried, key=lambda t: t.cost)[:NEAREST]
-    rest = sorted((t for t in tried if t not in near), key=lambda t: -t.gain)[:NEAREST]
-    return tuple(t.trial for t in (*near, *rest))
+    rest = max((t for t in tried if t not in near), key=lambda t: t.gain, default=None)
+    return tuple(t.trial for t in (*near, *((rest,) if rest else ())))
 
 
 def _phased(hypothesis: Hypothesis) -> list[tuple[Trial, ...]]:

@@ -12,38 +12,30 @@ with a clock that walks may miss more, and nothing on the others.
 
 import numpy as np
 
-from servo_bench.diagnosis.evidence import Evidence
+from servo_bench.diagnosis.evidence import Evidence, changed_by
+from servo_bench.diagnosis.lateness import TICK_S
 from servo_bench.diagnosis.rows import Array
 from sim_rig.model import Model
 
-COARSE_S = 250e-6
-EITHER_WAY_S = COARSE_S / np.sqrt(12.0)
-"""Deviation of what is anywhere within a coarse tick."""
+COARSE_S = 2.0 * TICK_S
+"""Of a drive whose loop is slow."""
 MOST = 3.0
 """Of what a right simulation may miss anyway."""
 
 
 def ticks(whole: Evidence, model: Model) -> Array:
-    """Robust change of every signal by so much more and less delay, the larger of the two, within
-    `MOST`. Shape (signals,); zeros where no clock walks.
+    """Robust change of every signal by a delay that is anywhere within a coarse tick, or within
+    what the clock walks in the longest recording where that is less; at most `MOST`. Shape
+    (signals,); zeros where no clock walks.
     """
-    found = np.zeros(len(whole.names))
-    if "clock_skew" not in model.effects:
-        return found
-    here, *there = whole.seen([model, *(_late(model, late_s) for late_s in _either_way(model))])
-    for errors in there:
-        changed = np.abs(errors.rows - here.rows)
-        known = np.isfinite(changed).any(axis=1)
-        found[known] = np.maximum(found[known], 1.4826 * np.nanmedian(changed[known], axis=1))
-    return np.asarray(np.minimum(found, MOST * whole.allowed))
-
-
-def _either_way(model: Model) -> tuple[float, float]:
-    """Delays about the model's own, none below zero."""
+    skew = model.effects.get("clock_skew")
+    seconds = max(float(c.source.rows.durations_s.sum()) for c in whole.fitted)
+    walked_s = abs(float(skew.skew_fraction)) * seconds if skew is not None else 0.0
+    if walked_s == 0.0:
+        return np.zeros(len(whole.names))
+    either_way_s = min(COARSE_S, walked_s) / np.sqrt(12.0)
     delay = model.effects.get("transport_delay")
     own_s = float(delay.delay_s) if delay is not None else 0.0
-    return max(own_s - EITHER_WAY_S, 0.0), own_s + EITHER_WAY_S
-
-
-def _late(model: Model, delay_s: float) -> Model:
-    return model.with_effect("transport_delay", delay_s=delay_s)
+    delays_s = (max(own_s - either_way_s, 0.0), own_s + either_way_s)
+    others = [model.with_effect("transport_delay", delay_s=late_s) for late_s in delays_s]
+    return np.asarray(np.minimum(changed_by(whole, model, others), MOST * whole.allowed))

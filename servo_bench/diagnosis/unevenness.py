@@ -9,7 +9,7 @@ more, and next to nothing on the others.
 
 import numpy as np
 
-from servo_bench.diagnosis.evidence import Evidence
+from servo_bench.diagnosis.evidence import Evidence, changed_by
 from servo_bench.diagnosis.rows import Array
 from sim_rig.model import Model
 
@@ -25,16 +25,10 @@ def unevenness(whole: Evidence, model: Model, torque_nm: float) -> Array:
     larger of two phases, within `MOST`. Shape (signals,); zeros where the model has cogging of its
     own, and for a signal without a point.
     """
-    found = np.zeros(len(whole.names))
     if "cogging" in model.effects:
-        return found
+        return np.zeros(len(whole.names))
     others = [
         model.with_effect("cogging", torque_nm=SHARE * torque_nm, order=1.0, phase_rad=phase)
         for phase in PHASES_RAD
     ]
-    here, *there = whole.seen([model, *others])
-    for errors in there:
-        changed = np.abs(errors.rows - here.rows)
-        known = np.isfinite(changed).any(axis=1)
-        found[known] = np.maximum(found[known], 1.4826 * np.nanmedian(changed[known], axis=1))
-    return np.asarray(np.minimum(found, MOST * whole.allowed))
+    return np.asarray(np.minimum(changed_by(whole, model, others), MOST * whole.allowed))

@@ -7,10 +7,11 @@ import pytest
 from matplotlib.figure import Figure
 
 from servo_bench.diagnosis.bounces import on_other_faces
+from servo_bench.diagnosis.coasting import coasting
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.finding import accepted_of, find_causes, nothing_told
 from servo_bench.diagnosis.hypotheses import Hypothesis, Trial, hypotheses, scales_of
-from servo_bench.diagnosis.joint import Named, fit_jointly, own_unknowns
+from servo_bench.diagnosis.joint import Named, fit_jointly, is_worth_it, own_unknowns
 from servo_bench.diagnosis.late import hidden_by_coasting, unsure
 from servo_bench.diagnosis.rounds import Contender, Round, faced, merged
 from servo_bench.diagnosis.runoff import run_off
@@ -131,6 +132,30 @@ def test_what_explained_much_of_what_no_fit_saw_is_asked_again_beside_its_plain_
 
     assert unsure([having(0.3, 6.0)]) == {"stribeck", "coulomb"}
     assert unsure([having(0.3, 1.0), having(0.1, 6.0)]) == set()
+
+
+@pytest.mark.parametrize(
+    ("beside", "seen_gain", "held_gain", "worth"),
+    [
+        (MODEL, 0.05, 0.2, True),
+        (MODEL, 0.2, 0.05, False),
+        (friction(0.05).without("contact"), 0.05, 0.2, False),
+        (friction(0.05).without("contact"), 0.15, 0.2, True),
+        (coasting(MODEL, 350.0), 0.2, 0.05, True),
+    ],
+)
+def test_what_a_coupling_must_take_goes_with_what_else_gives_way(
+    beside: Model, seen_gain: float, held_gain: float, *, worth: bool
+) -> None:
+    """Faces that a load's friction presses give way as a coupling does; beside a load that coasts
+    little else is left for one to fit."""
+    played = no_better_than_the_base("coupling_compliance")
+    one = showing(played, "coupling_compliance", seen_gain=seen_gain, held_gain=held_gain)
+    table = {"compliance_rad_per_nm": 3e-3, "load_inertia_kg_m2": 5e-5}
+    soft = beside.with_effect("coupling_compliance", **table)
+    found = one.found._replace(model=soft)
+    scales = scales_of(MODEL, np.ones(64), MODEL.simulate(np.ones(64), 0.008))
+    assert is_worth_it(Named(one.effect, played, one, ()), found, scales) is worth
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ SOFT = MODEL.with_effect(
 
 
 def again(hidden: Model, seed: int, asked: frozenset[str] = ASKED) -> list[Named] | None:
-    run = recorded(hidden, seed, slots=1200)
+    run = recorded(hidden, seed, slots=800)
     seen = evidence_of([run], MODEL, block="loop")
     commands = np.asarray(run["velocity_command_rad_s"])
     scales = scales_of(MODEL, commands, MODEL.simulate(commands, PERIOD_S))

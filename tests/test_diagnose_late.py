@@ -16,10 +16,13 @@ from tests.fit_recordings import NOMINAL, PERIOD_S, recorded
 
 MODEL = Model(NOMINAL)
 SLOWED_RAD_S2 = 350.0
-COUPLING, COMPLIANCE, HUB_KG_M2 = "coupling_compliance", 4e-3, 7.5e-5
+COUPLING, COMPLIANCE_RAD_PER_NM, HUB_KG_M2 = "coupling_compliance", 4e-3, 7.5e-5
 ASKED = frozenset({COUPLING})
 SOFT = MODEL.with_effect(
-    COUPLING, compliance_rad_per_nm=COMPLIANCE, load_inertia_kg_m2=HUB_KG_M2, damping_s=4e-5
+    COUPLING,
+    compliance_rad_per_nm=COMPLIANCE_RAD_PER_NM,
+    load_inertia_kg_m2=HUB_KG_M2,
+    damping_s=4e-5,
 )
 
 
@@ -41,7 +44,8 @@ def test_a_coupling_is_found_where_the_load_coasts_beside_it() -> None:
     assert [n.effect for n in found] == [COUPLING]
     model = found[0].contender.found.model
     assert is_coasting(model)
-    assert model.effects[COUPLING].compliance_rad_per_nm == pytest.approx(COMPLIANCE, rel=0.15)
+    found_rad_per_nm = model.effects[COUPLING].compliance_rad_per_nm
+    assert found_rad_per_nm == pytest.approx(COMPLIANCE_RAD_PER_NM, rel=0.15)
 
 
 @pytest.mark.long

@@ -186,7 +186,7 @@ def find_causes(
     # judged beside what is known now: a motor that sticks stands on the command's own steps
     grid = None if "quantisation" in without else lattice(whole.fitted[0], final.model)
     report("coasting")
-    final, plain = _at_rest(whole, final, plain, nothing=not (named or absorbed))
+    final, plain = _coasting_at_last(whole, final, plain, nothing=not (named or absorbed))
     return Finding(
         recordings=recordings,
         held_out=held_out,
@@ -213,7 +213,9 @@ def find_causes(
     )
 
 
-def _at_rest(whole: Evidence, final: Found, plain: Found, *, nothing: bool) -> tuple[Found, Found]:
+def _coasting_at_last(
+    whole: Evidence, final: Found, plain: Found, *, nothing: bool
+) -> tuple[Found, Found]:
     """The final fit and the plain one, with a load that coasts where that is so: where `nothing`
     was found they are the same."""
     final = with_coasting(whole, plain if nothing else final, to_ask=False)

@@ -55,6 +55,22 @@ def test_a_rigid_shaft_in_counts_has_no_wild_samples() -> None:
     assert wild_samples(compare(seen, rigid, scales=SCALES), rigid, 0.0) == 0
 
 
+@pytest.mark.parametrize(
+    ("rows", "wrong_rad", "counted"), [(1, 0.1, 12), (3, 0.1, 36), (3, 0.01, 0), (7, 0.1, 0)]
+)
+def test_words_that_interference_spoils_are_counted(
+    rows: int, wrong_rad: float, counted: int
+) -> None:
+    """12 bursts: not those that a gap can make, nor an angle that stays for longer than a burst."""
+    run = recorded(MODEL, 19, slots=SLOTS)
+    angle = np.array(run["load_angle_rad"])
+    first = np.linspace(100, angle.size - 100, 12).astype(np.int64)
+    for k in range(rows):
+        angle[first + k] += wrong_rad
+    seen = compare(with_channels(run, load_angle_rad=angle), MODEL, scales=SCALES)
+    assert wild_samples(seen, MODEL, MODEL.nominal.backlash_gap_rad) == counted
+
+
 def test_a_coarse_angle_is_measured_by_its_lattice() -> None:
     coarse = math.radians(0.06)
     found = lattice(compared(MODEL.with_effect("quantisation", count_rad=coarse), 14), MODEL)

@@ -99,6 +99,19 @@ def white(rows: int) -> NDArray[np.float64]:
     return np.asarray(COUNT_RAD * np.random.default_rng(8).standard_normal(rows))
 
 
+@pytest.mark.parametrize("increments", [False, True])
+def test_words_that_interference_spoils_at_rest_are_no_noise(*, increments: bool) -> None:
+    """Of a hundred that stood still two bursts of three: the floor is that of the others."""
+    run = recorded(MODEL, 9)
+    angle = run["load_angle_rad"].copy()
+    for first in (10, 60):
+        angle[first : first + 3] += 0.1
+    spoilt = rows_of(with_channels(run, load_angle_rad=angle))
+    clean = floor_of(rows_of(run), "load_angle_rad", increments=increments)
+    floor = floor_of(spoilt, "load_angle_rad", increments=increments)
+    assert floor == pytest.approx(clean, rel=0.1)
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_without_a_rest_what_a_simulation_leaves_tells_the_noise(seed: int) -> None:
     moving = from_elsewhere(recorded(MODEL, seed), STANDSTILL + 7)

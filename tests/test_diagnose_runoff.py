@@ -16,7 +16,7 @@ from servo_bench.diagnosis.late import hidden_by_coasting, unsure
 from servo_bench.diagnosis.rounds import Contender, Round, faced, merged
 from servo_bench.diagnosis.runoff import run_off
 from servo_bench.diagnosis.seeking import Found, seek
-from servo_bench.diagnosis.unknowns import nuisances, widened
+from servo_bench.diagnosis.unknowns import Unknown, nuisances, widened
 from servo_bench.report.diagnosis_figures import draw_evidence
 from sim_rig.errors import EffectError
 from sim_rig.model import Model
@@ -116,6 +116,22 @@ def no_better_than_the_base(*effects: str) -> Round:
     whole = evidence_of([recorded(MODEL, 64, slots=300)], MODEL, block="loop")
     base = seek(whole, MODEL, (), iterations=0)
     return faced(whole, base, [(base, Hypothesis(effect, (), ())) for effect in effects])
+
+
+def test_a_cause_that_another_cannot_be_without_is_not_taken_away() -> None:
+    """A hub of more than the drawing's whole inertia: only with the inertia that was found."""
+    inertia = NOMINAL.inertia_kg_m2
+    rig = MODEL.with_effect("inertia_error", error_fraction=0.25)
+    rig = rig.with_effect(
+        "coupling_compliance", compliance_rad_per_nm=3e-3, load_inertia_kg_m2=1.02 * inertia
+    )
+    whole = evidence_of([recorded(rig, 62, slots=600)], MODEL, block="loop")
+    played = no_better_than_the_base("inertia_error", "coupling_compliance")
+    named = [Named(c.effect, played, c, ()) for c in played.contenders]
+    unknown = Unknown("inertia_error", "error_fraction", 0.2, 0.3, step=0.01)
+    final = seek(whole, rig, (unknown,), iterations=1)
+    _, kept = fit_jointly(whole, final, named, (), nothing_told)
+    assert "inertia_error" in {one.effect for one in kept}
 
 
 def showing(played: Round, effect: str, **what: float) -> Contender:

@@ -12,7 +12,7 @@ from tests.trials.drawing import Question
 
 pytestmark = pytest.mark.skipif("diagnose" not in COMMANDS, reason="there is no diagnose command")
 
-SECONDS = 8.0
+SECONDS = 6.0
 
 
 @pytest.mark.parametrize(

@@ -203,7 +203,7 @@ def find_causes(
         motor_lines=motor.torque,
         load_lines=load,
         tone=tone(quick.fitted[0], now.model),
-        wild=_wild(came, quick, now.model, scales),
+        wild=_wild(came, whole, final.model, scales),
         turns=turns,
         rounds=tuple(rounds),
         misfit_before=before,
@@ -268,9 +268,9 @@ def _of_the_rows(came: Recording, rows: int) -> tuple[str, ...]:
     )
 
 
-def _wild(came: Recording, quick: Evidence, model: Model, scales: Scales) -> int:
+def _wild(came: Recording, whole: Evidence, model: Model, scales: Scales) -> int:
     """Wrong samples, of all the rows that came."""
-    seen = quick.fitted[0]
+    seen = whole.fitted[0]
     if 1.5 * came.period_s < seen.source.rows.period_s:
         seen = compare(came, model, seen.block, scales=SCALES)
     return wild_samples(seen, model, scales.gap_rad)

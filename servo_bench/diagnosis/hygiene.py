@@ -12,6 +12,7 @@ neither is a fit.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from servo_bench.diagnosis.comparison import Comparison
@@ -23,7 +24,9 @@ RESPONSE_ROWS = 12
 SURE = 0.2
 """How far from a whole chip the estimate of a lost one may be."""
 WILD = 12.0
-"""Robust deviations, beyond one and a half gaps, of a sample that is wrong alone."""
+"""Robust deviations, beyond one and a half gaps, of samples that are wrong alone."""
+BURST_S = 0.032
+"""How long they are: interference spoils a few words in a row."""
 LEFT = 0.1
 """Of the error's energy over the response, after the lost chip is taken out."""
 CLEAR = 8.0
@@ -122,16 +125,24 @@ def heard(recording: Recording, lost: LostCommands) -> Recording:
 
 
 def wild_samples(comparison: Comparison, model: Model, gap_rad: float) -> int:
-    """Load samples that are wrong alone: beyond what any state of the gap allows, and back."""
+    """Load samples that are wrong alone, or a few in a row by the same: beyond what any state of
+    the gap allows, and back."""
     levels = [k for k, s in enumerate(comparison.signals) if s.level]
     if not levels or len(comparison.pieces) > 1:
         return 0
     error = comparison.errors(model)[levels[0]]
     floor = comparison.signals[levels[0]].floor
     sigma = max(1.4826 * float(np.nanmedian(np.abs(error))), floor, 1e-12)
-    beside = 0.5 * (error[:-2] + error[2:])
-    steady = np.abs(error[2:] - error[:-2]) < 0.5 * np.abs(error[1:-1] - beside)
-    return int(np.sum(steady & (np.abs(error[1:-1] - beside) > WILD * sigma + 1.5 * gap_rad)))
+    longest = max(1, round(BURST_S / comparison.source.rows.period_s))
+    wild = np.zeros(error.size, np.bool_)
+    for rows in range(1, longest + 1):
+        before, after = error[: -rows - 1], error[rows + 1 :]
+        off = sliding_window_view(error[1:-1], rows) - 0.5 * (before + after)[:, None]
+        least = np.where(np.abs(np.sign(off).sum(axis=1)) == rows, np.abs(off).min(axis=1), 0.0)
+        back = np.abs(after - before) < 0.5 * least
+        for first in np.flatnonzero(back & (least > WILD * sigma + 1.5 * gap_rad)):
+            wild[first + 1 : first + 1 + rows] = True
+    return int(wild.sum())
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,7 @@ from servo_bench.diagnosis.hypotheses import ON_THE_LOAD, SPRINGS, VEHICLE, Scal
 from servo_bench.diagnosis.rounds import Contender, Round, Told, merged
 from servo_bench.diagnosis.seeking import Found, seek, settle
 from servo_bench.diagnosis.unknowns import Unknown
+from sim_rig.errors import EffectError
 
 NEEDED_Z, NEEDED_SHARE = 4.0, 0.01
 CARRIERS = {"anti_windup": "current_limit"}
@@ -64,7 +65,10 @@ def fit_jointly(
         if len(kept) < 2:
             break
         report(f"without {one.effect}")
-        less = without_effect(whole, final, one.effect, band)
+        try:
+            less = without_effect(whole, final, one.effect, band)
+        except EffectError:  # the others need it: a load of the inertia that it adds
+            continue
         if not _needed(final, less):
             kept.remove(one)
             final = less
@@ -131,7 +135,10 @@ def worth_a_name(one: Named, found: Found, scales: Scales) -> tuple[Named, ...]:
 def without_effect(
     whole: Evidence, final: Found, effect: str, band: Sequence[Unknown], iterations: int = 2
 ) -> Found:
-    """The final search again without one effect, or with it back in its band."""
+    """The final search again without one effect, or with it back in its band.
+
+    Raises EffectError where what is left makes no rig.
+    """
     back = tuple(u for u in band if u.effect == effect)
     kept = tuple(u for u in final.unknowns if u.effect != effect)
     model = final.model.without(effect)

@@ -89,8 +89,8 @@ def _strange(finding: Finding) -> Iterator[str]:
         )
     if finding.wild >= FEWEST_WILD:
         yield (
-            f"{finding.wild} load samples are wrong alone, by more than any state of the gap "
-            "allows: look at the encoder's line."
+            f"{finding.wild} load samples are wrong, alone or a few in a row, by more than any "
+            "state of the gap allows: look at the encoder's line."
         )
     for effect in {n.effect for n in finding.named} & {"cogging", "torque_ripple"}:
         order = _order(finding.final.model, effect)

@@ -3,7 +3,8 @@
     floor^2 = standstill^2 + q^2/12 (twice for an increment, which has two ends)
 
 A run has a standstill, the phase of that name; without one the third difference stands for it,
-which lets a smooth motion vanish and sees white noise sqrt(20) times enlarged.
+which lets a smooth motion vanish and sees white noise sqrt(20) times enlarged. Words that a line
+spoils while the rig rests are wrong, and no noise.
 
 Data from elsewhere have no phases. What their sensors show while the command rests (the rig may
 still move), the third difference (a motion that is quick beside the rows is not smooth), and that
@@ -24,6 +25,8 @@ FEWEST_STANDING = 50
 SETTLED_S = 0.3
 """After a command to stop, and after a recording's beginning, which may follow one."""
 COMMAND = "velocity_command_rad_s"
+SPOILT = 6.0
+"""Deviations and counts at rest beyond which a word is wrong."""
 SMALLEST = 1e-12
 """Of anything: a simulation without noise has weights too."""
 
@@ -36,11 +39,11 @@ def floor_of(rows: Rows, name: str, *, increments: bool, simulated: Array | None
     """
     values = rows.channel(name)
     ends = 2.0 if increments else 1.0
-    quantum = ends * quantum_of(values) ** 2 / 12.0
+    quantum = ends * quantum_of(values) ** 2 / 12.0  # its variance
     phased = "phase" in rows.recording
     still = _of_the_phase(rows) if phased else _resting(rows)
     standing = _standing(still, values, increments=increments)
-    rested = float(np.var(standing)) if standing.size >= FEWEST_STANDING else math.inf
+    rested = _variance(standing, quantum) if standing.size >= FEWEST_STANDING else math.inf
     if phased and math.isfinite(rested):
         return math.sqrt(rested + quantum) + SMALLEST
     known = [ends * _white(values) ** 2]
@@ -49,6 +52,14 @@ def floor_of(rows: Rows, name: str, *, increments: bool, simulated: Array | None
         known += [rested] if rested > 0.0 else []
     least = min(known)
     return math.sqrt((least if math.isfinite(least) else 0.0) + quantum) + SMALLEST
+
+
+def _variance(standing: Array, quantum: float) -> float:
+    """Of what a sensor shows at rest, without samples further off than noise and a few counts."""
+    middle = float(np.median(standing))
+    deviation = 1.4826 * float(np.median(np.abs(standing - middle)))
+    most = SPOILT * math.hypot(deviation, math.sqrt(12.0 * quantum))
+    return float(np.var(standing[np.abs(standing - middle) <= most]))
 
 
 def _white(values: Array) -> float:

@@ -8,7 +8,7 @@ at last   every accepted cause is taken away once; one whose absence costs less 
           is dropped (backward deletion)
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
@@ -24,7 +24,7 @@ from servo_bench.diagnosis.unknowns import Unknown
 from servo_bench.errors import FitError
 from sim_rig.effects import find_effect
 from sim_rig.effects.effect import Port
-from sim_rig.errors import SimRigError
+from sim_rig.errors import EffectError, SimRigError
 from sim_rig.model import Model
 
 FITTED = 4
@@ -146,7 +146,7 @@ def play_round(
     plain = _plain([one for one, _ in near])
     near += [pair for pair in ranked[3:] if pair[0].hypothesis.effect in plain]
     again = [(one, _again(quick, one, f, sigma)) for one, f in near]
-    beside = [f.model.without(*_not_the_base_s(base, one)) for one, f in again]
+    beside = [m for one, f in again if (m := _less(f.model, _not_the_base_s(base, one)))]
     rested = _rested(quick, base, sigma, beside)
     return faced(quick, rested, [(f, one.hypothesis) for one, f in again], screened, sigma=sigma)
 
@@ -264,11 +264,19 @@ def _rested(quick: Evidence, base: Found, sigma: Array, beside: Sequence[Model])
     """
     cold = seek(quick, base.model, base.unknowns, sigma, iterations=3, first=1)
     costs = [errors.cost(sigma) for errors in quick.seen(beside)]
-    warm = beside[int(np.argmin(costs))]
+    warm = [beside[int(np.argmin(costs))]] if beside else []
     found = [
-        seek(quick, m, base.unknowns, sigma, iterations=2, first=2) for m in (cold.model, warm)
+        seek(quick, m, base.unknowns, sigma, iterations=2, first=2) for m in (cold.model, *warm)
     ]
     return min(found, key=lambda f: f.cost)
+
+
+def _less(model: Model, effects: Collection[str]) -> Model | None:
+    """The model without these; None where what is left makes no rig."""
+    try:
+        return model.without(*effects)
+    except EffectError:
+        return None
 
 
 def _not_the_base_s(base: Found, one: Screened) -> set[str]:

@@ -44,7 +44,10 @@ def run_off(
                 continue
         if len(ends) == 1:
             continue
-        base = _without(whole, now, {one.effect, *(gone - SPRINGS)}, band)
+        try:
+            base = _without(whole, now, {one.effect, *(gone - SPRINGS)}, band)
+        except SimRigError:  # the others need it
+            continue
         played = faced(whole, base, ends, one.round.screened)
         first = played.contenders[0]
         kept[place] = Named(first.effect, played, first, own_unknowns(first, first.effect))

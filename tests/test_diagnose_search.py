@@ -1,9 +1,12 @@
 """Searching, weighing, and what a held-out recording may do: nothing but measure the gain."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from servo_bench.diagnosis.evidence import ASKED, Evidence, evidence_of
+from servo_bench.diagnosis import judgement
+from servo_bench.diagnosis.evidence import ASKED, Errors, Evidence, evidence_of
 from servo_bench.diagnosis.finding import find_causes, nothing_told
 from servo_bench.diagnosis.gate import (
     is_material,
@@ -142,6 +145,16 @@ def test_a_signal_that_is_all_wrong_is_weighed_by_what_may_be_missed() -> None:
     assert large.cost(seen.deviation(large)) > 2.0 * large.points  # robust scatter would give one
 
 
+@pytest.mark.parametrize("size", [np.nan, np.inf, 1e200])
+def test_a_loop_that_is_not_stable_has_run_away(size: float) -> None:
+    """Also where it was stopped at a number, whose square is none."""
+    seen = evidence(5, MODEL).fitted[0]
+    away = Errors([seen], [seen.seen], [np.full_like(seen.measured, size)])
+    assert away.ran_away
+    assert away.cost(np.ones(len(seen.signals))) > 1e6
+    assert not Errors([seen], [seen.seen], [seen.errors(MODEL)]).ran_away
+
+
 def test_friction_that_was_found_is_not_added_to_but_called_cold() -> None:
     model = MODEL.with_effect("coulomb", torque_nm=0.02, transition_rad_s=0.05)
     tried = Trial("thermal_friction", {"cold_torque_nm": 0.015}, 0.015, swapped=1.0).on(model)
@@ -214,6 +227,24 @@ THREE_ORDERS = {
     **{"second_torque_nm": 0.009, "second_order": 12.0, "second_phase_rad": -2.0},
     **{"third_torque_nm": 0.004, "third_order": 8.0, "third_phase_rad": 1.3},
 }
+
+
+def test_what_is_not_sure_has_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without it the simulation is as wrong as before: unknown, or none where that is no more than
+    it may be."""
+    seen = recorded(MODEL.with_effect("coulomb", torque_nm=0.012), 29, slots=SLOTS)
+    finding = find_causes([seen], MODEL, only=("coulomb",))
+    assert verdict_of(finding).names == ("coulomb",)
+    monkeypatch.setattr(judgement, "confidence", lambda *_: 0.75)
+    unsure = verdict_of(finding)
+    assert (unsure.verdict, unsure.names) == ("unknown", ())
+    assert "coulomb" in unsure.sentence
+    nothing_much = replace(finding, misfit_before=np.full_like(finding.misfit_before, 0.9))
+    none = verdict_of(nothing_much)
+    assert (none.verdict, none.names) == ("none", ())
+    assert any("coulomb" in note for note in none.notes)
+
+
 STUCK = {"torque_nm": 0.05, "breakaway_angle_rad": 3e-4}
 
 

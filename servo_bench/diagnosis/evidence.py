@@ -29,6 +29,8 @@ BLOCK_GROUPS = 2
 """A block is so many groups of `comparison` (0.25 s each)."""
 BEYOND_DOUBT = 1e3
 """Largest advantage over its scatter that is told: blocks that agree fully have no scatter."""
+RAN_AWAY = 1e12
+"""Of any signal in SI: a loop that is not stable gets there, and its squares to no number."""
 RESTING = 0.25
 """Of a quick look's rows, that the rest before any motion may take."""
 COARSE = 4.0
@@ -106,7 +108,7 @@ class Errors:
             rows.append(np.where(mask & np.isfinite(comparison.measured), weighed, np.nan))
             groups.append(comparison.group // BLOCK_GROUPS + offset)
             offset += int(comparison.group.max(initial=0)) // BLOCK_GROUPS + 1
-            if not np.isfinite(error[np.isfinite(comparison.measured)]).all():
+            if not (np.abs(error[np.isfinite(comparison.measured)]) < RAN_AWAY).all():
                 rows[-1] = np.full_like(rows[-1], np.inf)
         self.rows: Array = np.concatenate(rows, axis=1)
         self.group: NDArray[np.int64] = np.concatenate(groups)

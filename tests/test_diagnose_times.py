@@ -15,6 +15,7 @@ from tests.fit_recordings import NOMINAL, PERIOD_S, commands, recorded
 MODEL = Model(NOMINAL)
 CHANNELS = ("velocity_command_rad_s", "motor_position_rad", "motor_torque_nm", "load_angle_rad")
 SLOTS = 1600
+LIKE_FRICTION = ("coulomb", "viscous", "stribeck", "pre_sliding", "missed_samples")
 
 
 def logged(seed: int, model: Model = MODEL) -> Recording:
@@ -130,9 +131,10 @@ def test_a_command_that_other_rows_tell_is_not_guessed() -> None:
 
 
 def test_missing_rows_cost_neither_a_verdict_nor_a_cause() -> None:
-    rigs = {"none": MODEL, "named": MODEL.with_effect("coulomb", torque_nm=0.012)}
-    for expected, model in rigs.items():
-        verdict = diagnose([less(logged(36, model), 36, 0.015)], model=MODEL)
+    """Nothing is made of them, of all that could be; and friction is told from what is like it."""
+    rubbing = MODEL.with_effect("coulomb", torque_nm=0.012)
+    for expected, model, only in (("none", MODEL, ()), ("named", rubbing, LIKE_FRICTION)):
+        verdict = diagnose([less(logged(36, model), 36, 0.015)], model=MODEL, only=only)
         assert verdict.verdict == expected, verdict.sentence
         assert any("rows are missing" in note for note in verdict.notes)
         assert [cause.effect for cause in verdict.causes] == ["coulomb"][: len(verdict.causes)]

@@ -190,8 +190,23 @@ def test_what_took_some_of_the_error_is_asked_again_where_a_load_coasts(
     played = no_better_than_the_base("coupling_compliance", "load_friction")
     showed = {"seen_z": seen_z, "seen_gain": seen_gain, "held_gain": held_gain}
     both = tuple(showing(played, c.effect, **showed) for c in played.contenders)
-    found = hidden_by_coasting([replace(played, contenders=both)])
+    found = hidden_by_coasting([replace(played, contenders=both)], {})
     assert found == ({"coupling_compliance"} if asked else set())
+
+
+@pytest.mark.parametrize(("size", "asked"), [(0.5, False), (0.9, True)])
+def test_a_line_that_is_far_too_small_is_so_whatever_the_load_does(
+    size: float, *, asked: bool
+) -> None:
+    played = no_better_than_the_base("cogging")
+    (one,) = (
+        showing(played, c.effect, seen_z=20.0, seen_gain=0.3, held_gain=0.3)
+        for c in played.contenders
+    )
+    rippled = one.found.model.with_effect("cogging", torque_nm=size)
+    shown = replace(one, found=one.found._replace(model=rippled))
+    found = hidden_by_coasting([replace(played, contenders=(shown,))], {"cogging": 1.0})
+    assert found == ({"cogging"} if asked else set())
 
 
 @pytest.mark.parametrize(

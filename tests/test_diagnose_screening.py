@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from servo_bench.diagnosis.approaching import KEPT, approached
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.finding import find_causes
 from servo_bench.diagnosis.gap import play_gap
@@ -83,10 +84,15 @@ def test_a_resonance_is_sought_from_trials_as_they_were_tried(
     seen, base, tried, scales = rested(soft, 35, band_of="lag")
     coupling = [h for h in tried if h.effect == "coupling_compliance"]
     found = play_round(seen, base, coupling, material_sizes(scales), lambda _: None)
-    near = found.screened[0].tried
-    sizes = {float(t.settings["compliance_rad_per_nm"]) for t in coupling[0].trials}
-    assert {float(t.settings["compliance_rad_per_nm"]) for t in near} <= sizes
-    assert len(near) == len(set(map(repr, near))) == 3
+    assert set(map(repr, found.screened[0].tried)) <= set(map(repr, coupling[0].trials))
+    starts = approached(seen, base, coupling[0], found.screened[0].tried)
+    assert 1 <= len(starts) <= KEPT[-1]
+    left = [errors.cost(base.sigma) for errors in seen.seen([start.model for start in starts])]
+    tried_as_they_are = [trial.on(base.model) for trial in found.screened[0].tried]
+    assert max(left) < min(e.cost(base.sigma) for e in seen.seen(tried_as_they_are))
+    assert starts[0].model.effects["coupling_compliance"].compliance_rad_per_nm == pytest.approx(
+        compliance_rad_per_nm, rel=0.3
+    )
     swinging = found.contenders[0].found.model.effects["coupling_compliance"]
     assert swinging.compliance_rad_per_nm == pytest.approx(compliance_rad_per_nm, rel=0.1)
     assert swinging.load_inertia_kg_m2 == pytest.approx(hub_kg_m2, rel=0.1)

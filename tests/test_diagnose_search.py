@@ -17,7 +17,7 @@ from servo_bench.diagnosis.gate import (
 )
 from servo_bench.diagnosis.hypotheses import Scales, Trial, hypotheses
 from servo_bench.diagnosis.judgement import quantities, standard_errors, verdict_of
-from servo_bench.diagnosis.rounds import play_round
+from servo_bench.diagnosis.rounds import Contender, gone_on, merged, play_round
 from servo_bench.diagnosis.seeking import Found, roam, seek, settle
 from servo_bench.diagnosis.unknowns import Unknown, nuisances, widened
 from sim_rig.model import Model
@@ -333,3 +333,38 @@ def test_what_the_base_had_left_to_gain_is_no_contenders_merit() -> None:
         without = one.found.model.without(one.effect)
         less = seek(seen, without, base.unknowns, played.sigma, iterations=2, first=2)
         assert played.base.cost < 1.001 * less.cost
+
+
+def test_with_more_numbers_no_search_ends_higher_than_the_base() -> None:
+    """The contender's search began far off in the numbers that both have, and was stopped there."""
+    hidden = MODEL.with_effect("coulomb", torque_nm=3e-3).with_effect("viscous", **DAMPED)
+    seen = evidence_of([recorded(hidden, 28, slots=500)], MODEL)
+    open_ = nuisances(0.05, 3.0, NOMINAL.backlash_gap_rad)
+    rested = seek(seen, MODEL, open_, seen.allowed, iterations=4)
+    start = MODEL.with_effect("cogging", torque_nm=1e-3, order=ORDER)
+    own = widened("cogging", ("torque_nm", "phase_rad"), start, 1e-3)
+    lost = seek(seen, start, merged(open_, own), seen.allowed, iterations=0)
+    assert lost.cost > 1.5 * rested.cost
+    found = gone_on(seen, rested, lost, {"cogging"})
+    assert found.cost < 1.005 * rested.cost
+    assert {u.name for u in found.unknowns} == {u.name for u in lost.unknowns}
+    assert gone_on(seen, lost._replace(unknowns=open_), found, {"cogging"}) is found
+
+
+@pytest.mark.parametrize(
+    ("effect", "held_z", "seen_gain", "passed"),
+    [
+        ("thermal_torque_constant", 15.0, 0.01, True),
+        ("thermal_torque_constant", 15.0, -0.01, False),
+        ("thermal_torque_constant", 5.0, 0.01, False),
+        ("encoder_eccentricity", 15.0, 0.01, False),
+    ],
+)
+def test_what_warms_shows_on_what_came_after_the_fit(
+    effect: str, held_z: float, seen_gain: float, passed: bool
+) -> None:
+    seen = evidence(29, MODEL)
+    base = seek(seen, MODEL, (), iterations=0)
+    (tried,) = hypotheses(SCALES, only=(effect,))
+    shown = Contender(tried, base, base.errors, 1.0, held_z, seen_gain, 0.08, np.ones(3))
+    assert passes_slowly(shown) is passed

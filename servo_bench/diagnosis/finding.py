@@ -168,7 +168,8 @@ def find_causes(
     before = misfit(whole, plain.errors)
     late = Late(whole, candidates, scales, band, report)
     noted = any(is_noted(n.effect, before) for n in named)
-    joint = None if noted else asked_again(late, plain, hidden_by_coasting(rounds))
+    again = hidden_by_coasting(rounds, material_sizes(scales))
+    joint = None if noted else asked_again(late, plain, again)
     if joint is not None:
         (final, named), absorbed = joint, []
         rounds += [n.round for n in named]

@@ -21,9 +21,9 @@ from servo_bench.diagnosis.gate import (
     misfit,
 )
 from servo_bench.diagnosis.hypotheses import ON_THE_LOAD, SPRINGS, VEHICLE, Scales
-from servo_bench.diagnosis.rounds import Contender, Round, Told, merged
+from servo_bench.diagnosis.rounds import Contender, Round, Told
 from servo_bench.diagnosis.seeking import Found, seek, settle
-from servo_bench.diagnosis.unknowns import Unknown
+from servo_bench.diagnosis.unknowns import Unknown, merged
 from sim_rig.errors import EffectError
 
 NEEDED_Z, NEEDED_SHARE = 4.0, 0.01

@@ -2,7 +2,8 @@
 
     named     every accepted cause survived, and what is left is what a right simulation may miss
     unknown   more is left than that; or what was found cannot be (a torque line at no whole order);
-              or something stands in the data that no effect makes (a tone, wild samples)
+              or something stands in the data that no effect makes (a tone, wild samples); or a
+              cause is not as large at the recording's end as it was at its beginning
     none      neither
 
 Intervals come from the block sandwich (`uncertainty`), because errors of a wrong model hang
@@ -27,6 +28,7 @@ from servo_bench.diagnosis.readying import order_tolerance
 from servo_bench.diagnosis.rows import Array, Mask
 from servo_bench.diagnosis.seeking import Found
 from servo_bench.diagnosis.sensors import misread
+from servo_bench.diagnosis.steadiness import CHANGES, slope_of
 from servo_bench.diagnosis.verdict import Cause, ErrorFigures, Kind, Limit, Quantity, Verdict
 from sim_rig.effects import find_effect
 from sim_rig.model import Model
@@ -105,6 +107,24 @@ def _strange(finding: Finding) -> Iterator[str]:
             yield (
                 f"A torque line stands at {order:.2f} periods a revolution of the motor: no whole "
                 "number, so nothing on the motor's own shaft makes it (a gear's mesh would)."
+            )
+    yield from _unsteady(finding)
+
+
+def _unsteady(finding: Finding) -> Iterator[str]:
+    """Causes whose size changes while it is recorded, in sentences."""
+    for effect in dict.fromkeys(n.effect for n in finding.named):
+        strength = find_effect(effect).strengths[0]
+        name = f"{effect}.{strength}"
+        if effect in CHANGES or name not in _names(finding.final):
+            continue
+        slope = slope_of(finding.final, name)
+        if slope.is_there:
+            yield (
+                f"What looks like {effect.replace('_', ' ')} changes while it is recorded: "
+                f"{strength} goes from {slope.first:.2g} to {slope.last:.2g} {unit_of(strength)}, "
+                f"which takes another {100.0 * slope.taken:.0f} % of the error. Something warms, "
+                "wears, or works loose."
             )
 
 

@@ -7,7 +7,7 @@ again    what was too little for a name: where a load coasts it may have stood i
 gap      where nothing else is wrong: one that is so by a little (`gap`)
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from servo_bench.diagnosis.classes import class_of
@@ -17,6 +17,7 @@ from servo_bench.diagnosis.gap import play_gap
 from servo_bench.diagnosis.gate import (
     FURTHER_GAIN,
     HELD_Z,
+    LINES,
     MOST_CAUSES,
     RIGHT_ALREADY,
     material_sizes,
@@ -24,6 +25,7 @@ from servo_bench.diagnosis.gate import (
     passes,
     passes_slowly,
     promises,
+    strength_of,
 )
 from servo_bench.diagnosis.hypotheses import Hypothesis, Scales
 from servo_bench.diagnosis.joint import Named, fit_jointly, is_worth_it, own_unknowns
@@ -41,6 +43,7 @@ SLOW = frozenset(
 )
 """What a recording's beginning hardly shows, because it warms slowly or turns but a few times:
 asked once more of all that was recorded."""
+FAR_BELOW = 0.8
 BEHIND = frozenset({"backlash_width", "encoder_subdivision"})
 """What is small beside a load that coasts, and asked once more where that is known."""
 
@@ -55,12 +58,20 @@ class Late(NamedTuple):
     report: Told
 
 
-def hidden_by_coasting(rounds: Sequence[Round]) -> frozenset[str]:
+def hidden_by_coasting(rounds: Sequence[Round], sizes: Mapping[str, float]) -> frozenset[str]:
     """What is asked again where a load coasts, after rounds without a cause: what took some of the
-    error, though it was too small, or not beyond chance but for the part that was fitted."""
+    error, though it was too small, or not beyond chance but for the part that was fitted.
+
+    A line's size is known whatever the load does: where it is far below that of `sizes` it stays.
+    """
     contenders = [c for played in rounds for c in played.contenders]
     some = [c for c in contenders if max(c.seen_gain, c.held_gain) > FURTHER_GAIN]
-    return frozenset({c.effect for c in some if c.seen_z > HELD_Z} - OTHERWISE)
+    small = {c.effect for c in some if c.effect in LINES and _is_far_below(c, sizes)}
+    return frozenset({c.effect for c in some if c.seen_z > HELD_Z} - OTHERWISE - small)
+
+
+def _is_far_below(one: Contender, sizes: Mapping[str, float]) -> bool:
+    return abs(strength_of(one.found.model, one.effect)) < FAR_BELOW * sizes[one.effect]
 
 
 def asked_again(
@@ -114,12 +125,15 @@ def _play_late_round(
     if not asked:
         return None
     whole, sizes = late.whole, material_sizes(late.scales)
-    base = seek(whole, final.model, final.unknowns, final.sigma, iterations=1, first=3)
-    played = play_round(
-        whole, base, asked, sizes, lambda what: late.report(f"late effects: {what}"), least=LEAST
-    )
+    base = seek(whole, final.model, final.unknowns, final.sigma, iterations=4, first=1)
+    told = _in_late_effects(late.report)
+    played = play_round(whole, base, asked, sizes, told, least=LEAST, settled=True)
     for found in played.contenders:
         named = Named(found.effect, played, found, own_unknowns(found, found.effect))
         if able(found) and is_worth_it(named, found.found, late.scales):
             return named
     return None
+
+
+def _in_late_effects(report: Told) -> Told:
+    return lambda what: report(f"late effects: {what}")

@@ -15,12 +15,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from servo_bench.diagnosis.approaching import approached
 from servo_bench.diagnosis.evidence import Errors, Evidence, block_z
 from servo_bench.diagnosis.hypotheses import SPRINGS, VEHICLE, Hypothesis, Trial
 from servo_bench.diagnosis.rows import Array
 from servo_bench.diagnosis.screening import Screened, screen
 from servo_bench.diagnosis.seeking import Found, seek, settle
-from servo_bench.diagnosis.unknowns import Unknown
+from servo_bench.diagnosis.stepping import surprise
+from servo_bench.diagnosis.unknowns import merged
 from servo_bench.errors import FitError
 from sim_rig.effects import find_effect
 from sim_rig.effects.effect import Port
@@ -46,7 +48,12 @@ Told = Callable[[str], None]
 REFINES = {"pre_sliding": "coulomb", "thermal_friction": "coulomb", "stribeck": "coulomb"}
 """Friction of its own kind that Coulomb friction does nearly as well."""
 CLEARLY = 4.0
+BESIDE = (1.0, 0.5, 0.25, 0.05)
+"""Of a search's strengths, beside the numbers that the base's own search ended with."""
 SHORTEST_BRISTLE_RAD = 2e-5
+SETTLED, HOPEFUL = 2, 0.3
+"""Widths that a search skips beside a base that is settled; and of the best one's gain, what one
+must have there to be sought any further."""
 
 
 @dataclass(frozen=True)
@@ -116,11 +123,14 @@ def play_round(
     told: Told,
     *,
     least: float = LEAST_GAIN,
+    settled: bool = False,
 ) -> Round:
     """Screen and fit. Contenders may be empty: then nothing promised anything.
 
     `sizes` are those below which an effect is worth no name: what promises little, and is so small,
-    is not fitted; nor is what promises less than `least` of the cost.
+    is not fitted; nor is what promises less than `least` of the cost. Beside a base that is
+    `settled` on these very data searches begin with narrow differences, and one that gains nothing,
+    or far less than the best, goes no further.
     """
     told("screening")
     screened = screen(quick, base, hypotheses)
@@ -131,9 +141,11 @@ def play_round(
     for one in worth:
         told(f"fitting {one.hypothesis.effect}")
         try:
-            first.append((one, _fitted(quick, base, one)))
+            first.append((one, _fitted(quick, base, one, first=SETTLED if settled else 0)))
         except FitError:
             continue
+    if settled:
+        first = _hopeful(first, base)
     if not first:
         judged = quick.held_out([base.model])[0]
         costs = _all_costs(base.errors, judged, base.sigma)
@@ -147,8 +159,10 @@ def play_round(
     near += [pair for pair in ranked[3:] if pair[0].hypothesis.effect in plain]
     again = [(one, _again(quick, one, f, sigma)) for one, f in near]
     beside = [m for one, f in again if (m := _less(f.model, _not_the_base_s(base, one)))]
-    rested = _rested(quick, base, sigma, beside)
-    return faced(quick, rested, [(f, one.hypothesis) for one, f in again], screened, sigma=sigma)
+    cold = base if settled else _sought(quick, base, sigma)
+    rested = _rested(quick, cold, sigma, beside)
+    ends = [(gone_on(quick, rested, f, _own(one)), one.hypothesis) for one, f in again]
+    return faced(quick, rested, ends, screened, sigma=sigma)
 
 
 def faced(
@@ -213,6 +227,12 @@ def _plain(found: Sequence[Screened]) -> set[str]:
     return {REFINES[name] for name in names if name in REFINES} - names
 
 
+def _hopeful(found: Sequence[tuple[Screened, Found]], base: Found) -> list[tuple[Screened, Found]]:
+    """Those that gained, by no less than a share of what the best one did."""
+    most = max((base.cost - f.cost for _, f in found), default=0.0)
+    return [(one, f) for one, f in found if base.cost - f.cost > max(HOPEFUL * most, 0.0)]
+
+
 def _largest(one: Screened) -> float:
     """Of the sizes that its search would start from."""
     return max(t.size for t in (one.trial, *one.tried))
@@ -223,22 +243,30 @@ def _most(one: Screened, sizes: Mapping[str, float]) -> float:
     return 0.6 * sizes.get(one.hypothesis.effect, 0.0)
 
 
-def _fitted(quick: Evidence, base: Found, one: Screened) -> Found:
+def _fitted(quick: Evidence, base: Found, one: Screened, *, first: int = 0) -> Found:
     """From the best of a few sizes: what a template foretells is often too much. What is steep is
-    sought from each of a few trials."""
+    sought from where a few of its trials came to."""
     if one.tried:
-        ends = [_from(quick, base, one.hypothesis, trial, [trial]) for trial in one.tried]
+        starts = approached(quick, base, one.hypothesis, one.tried)
+        ends = [
+            seek(quick, s.model, s.unknowns, base.sigma, iterations=2, first=first) for s in starts
+        ]
         return min(ends, key=lambda end: end.cost)
     masses = MASSES if VEHICLE in one.trial.beside else (1.0,)
-    starts = [one.trial.times(s).carrying(m) for s, m in product(STARTS, masses)]
-    return _from(quick, base, one.hypothesis, one.trial, starts)
+    sizes = [one.trial.times(s).carrying(m) for s, m in product(STARTS, masses)]
+    return _from(quick, base, one.hypothesis, sizes, first)
 
 
 def _from(
-    quick: Evidence, base: Found, hypothesis: Hypothesis, trial: Trial, starts: Sequence[Trial]
+    quick: Evidence,
+    base: Found,
+    hypothesis: Hypothesis,
+    starts: Sequence[Trial],
+    first: int,
 ) -> Found:
-    """The search from the best of its starts. Raises FitError where none can be on this rig."""
-    unknowns = merged(base.unknowns, hypothesis.unknowns(base.model, trial))
+    """The search from the best of its starts, whose first one tells its steps. Raises FitError
+    where none can be on this rig."""
+    unknowns = merged(base.unknowns, hypothesis.unknowns(base.model, starts[0]))
     models = []
     for start in starts:
         try:
@@ -248,7 +276,8 @@ def _from(
     if not models:
         raise FitError(f"{hypothesis.effect} can be tried on this rig at no size.")
     costs = [errors.cost(base.sigma) for errors in quick.seen(models)]
-    return seek(quick, models[int(np.argmin(costs))], unknowns, base.sigma, iterations=2)
+    nearest = models[int(np.argmin(costs))]
+    return seek(quick, nearest, unknowns, base.sigma, iterations=2, first=first)
 
 
 def _again(quick: Evidence, one: Screened, found: Found, sigma: Array) -> Found:
@@ -257,18 +286,64 @@ def _again(quick: Evidence, one: Screened, found: Found, sigma: Array) -> Found:
     return settle(quick, again, _own(one), turns=1)
 
 
+def _sought(quick: Evidence, base: Found, sigma: Array) -> Found:
+    return seek(quick, base.model, base.unknowns, sigma, iterations=3, first=1)
+
+
 def _rested(quick: Evidence, base: Found, sigma: Array, beside: Sequence[Model]) -> Found:
-    """The base with as much search as its contenders have had, from its own numbers and theirs.
+    """The base with as much search as its contenders have had, on from its own numbers and theirs.
 
     Else a contender wins by what the base's own open numbers had left to gain.
     """
-    cold = seek(quick, base.model, base.unknowns, sigma, iterations=3, first=1)
     costs = [errors.cost(sigma) for errors in quick.seen(beside)]
     warm = [beside[int(np.argmin(costs))]] if beside else []
     found = [
-        seek(quick, m, base.unknowns, sigma, iterations=2, first=2) for m in (cold.model, *warm)
+        seek(quick, m, base.unknowns, sigma, iterations=2, first=2) for m in (base.model, *warm)
     ]
     return min(found, key=lambda f: f.cost)
+
+
+def gone_on(quick: Evidence, rested: Found, found: Found, own: Collection[str]) -> Found:
+    """A search, gone on from where the base's own ended if that is lower.
+
+    With the numbers of `own` beside no search need end higher than the base's: one that does ended
+    in another valley of the numbers that both have.
+    """
+    starts = []
+    for share in BESIDE:
+        try:
+            starts.append(_put_beside(rested.model, found, own, share))
+        except SimRigError:
+            continue
+    played = quick.seen(starts)
+    costs = [_cost(found, m, errors) for m, errors in zip(starts, played, strict=True)]
+    if min(costs, default=np.inf) >= found.cost:
+        return found
+    start = starts[int(np.argmin(costs))]
+    again = seek(quick, start, found.unknowns, found.sigma, iterations=2, first=2)
+    return min(again, found, key=lambda end: end.cost)
+
+
+def _cost(found: Found, model: Model, errors: Errors) -> float:
+    """Of another model of the same search."""
+    values = np.array([u.of(model) for u in found.unknowns])
+    return errors.cost(found.sigma) + surprise(found.unknowns, values)
+
+
+def _put_beside(model: Model, found: Found, own: Collection[str], share: float) -> Model:
+    """A search's own effects, at a share of their strengths, beside other numbers of the base."""
+    mine = [u for u in found.unknowns if u.effect in own]
+    for effect in own - model.effects.keys():
+        sought = {u.field for u in mine if u.effect == effect}
+        none = find_effect(effect).params()._asdict()
+        params = found.model.effects[effect]
+        fresh = params._replace(**{field: none[field] for field in sought})
+        model = replace(model, effects={**model.effects, effect: fresh})
+    for unknown in mine:
+        is_strength = unknown.field in find_effect(unknown.effect).strengths
+        here, there = unknown.of(model), unknown.of(found.model)
+        model = unknown.put(model, here + share * (there - here) if is_strength else there)
+    return model
 
 
 def _less(model: Model, effects: Collection[str]) -> Model | None:
@@ -292,12 +367,6 @@ def _not_the_base_s(base: Found, one: Screened) -> set[str]:
 def _own(one: Screened) -> set[str]:
     """The effect and what carries it."""
     return {one.hypothesis.effect, *one.trial.beside}
-
-
-def merged(old: Sequence[Unknown], new: Sequence[Unknown]) -> tuple[Unknown, ...]:
-    """The old ones, less those that the new ones stand for, and the new ones."""
-    names = {u.name for u in new}
-    return (*(u for u in old if u.name not in names), *new)
 
 
 class _Beside(NamedTuple):

@@ -12,9 +12,9 @@ from servo_bench.diagnosis.classes import class_of
 from servo_bench.diagnosis.evidence import Evidence
 from servo_bench.diagnosis.hypotheses import SPRINGS
 from servo_bench.diagnosis.joint import Named, fit_jointly, own_unknowns
-from servo_bench.diagnosis.rounds import Contender, Told, faced, merged
+from servo_bench.diagnosis.rounds import Contender, Told, faced
 from servo_bench.diagnosis.seeking import Found, seek, settle
-from servo_bench.diagnosis.unknowns import Unknown
+from servo_bench.diagnosis.unknowns import Unknown, merged
 from servo_bench.errors import FitError
 from sim_rig.errors import SimRigError
 from sim_rig.model import Model

@@ -10,7 +10,7 @@ with a phase spans two templates, and is linear enough to be taken whole).
 
 What is steep (a resonance, a clock that walks until commands cross the samples) has no templates
 worth the name: a tells that something of the kind is there, and nothing of its size. Its searches
-start at trials as they were tried, those that come nearest and the one that promises most.
+start from trials at their own size (see `approaching`).
 """
 
 from collections.abc import Sequence
@@ -34,8 +34,8 @@ SMALLEST = 0.1
 QUARTER, RIDGE = np.pi / 2.0, 1e-6
 AT_BOUND = 0.02
 """Nearer to a bound than this share of the band is at it."""
-STEEP, NEAREST = frozenset({*SPRINGS, "clock_skew"}), 2
-"""What is sought from trials at their own size (none has a phase); how many that come near."""
+STEEP = frozenset({*SPRINGS, "clock_skew"})
+"""What is sought from trials at their own size (none has a phase)."""
 
 
 class Screened(NamedTuple):
@@ -46,14 +46,6 @@ class Screened(NamedTuple):
     trial: Trial
     gain: float
     tried: tuple[Trial, ...] = ()
-
-
-class _Tried(NamedTuple):
-    """A trial at its own size: what it promises, and what it leaves while nothing else moves."""
-
-    trial: Trial
-    gain: float
-    cost: float
 
 
 def screen(
@@ -72,7 +64,7 @@ def screen(
     played = iter(evidence.seen(models))
     found: dict[str, Screened] = {}
     solvers: dict[str, _Beside] = {}
-    steep: dict[str, list[_Tried]] = {}
+    steep: dict[str, list[Trial]] = {}
     for hypothesis, pair in usable:
         if hypothesis.effect not in solvers:
             solvers[hypothesis.effect] = _Beside(base, hypothesis.effect)
@@ -80,22 +72,14 @@ def screen(
         gain, amounts = solvers[hypothesis.effect].gain(errors)
         one = pair[0]
         if hypothesis.effect in STEEP and np.isfinite(gain):
-            tried = _Tried(one, gain, errors[0].cost(base.sigma))
-            steep.setdefault(hypothesis.effect, []).append(tried)
+            steep.setdefault(hypothesis.effect, []).append(one)
         trial = _at_phase(one, amounts) if len(pair) == 2 else towards(one, base.model, amounts[0])
         best = found.get(hypothesis.effect)
         if best is None or gain > best.gain:
             found[hypothesis.effect] = Screened(hypothesis, trial, gain)
     for effect, each in steep.items():
-        found[effect] = found[effect]._replace(tried=_starts(each))
+        found[effect] = found[effect]._replace(tried=tuple(each))
     return tuple(sorted(found.values(), key=lambda s: -s.gain))
-
-
-def _starts(tried: Sequence[_Tried]) -> tuple[Trial, ...]:
-    """Those that come nearest, and of the others the one that promises most."""
-    near = sorted(tried, key=lambda t: t.cost)[:NEAREST]
-    rest = max((t for t in tried if t not in near), key=lambda t: t.gain, default=None)
-    return tuple(t.trial for t in (*near, *((rest,) if rest else ())))
 
 
 def _phased(hypothesis: Hypothesis) -> list[tuple[Trial, ...]]:

@@ -179,3 +179,9 @@ def put_all(model: Model, unknowns: Sequence[Unknown], values: Sequence[float]) 
     for unknown, value in zip(unknowns, values, strict=True):
         model = unknown.put(model, float(value))
     return model
+
+
+def merged(old: Sequence[Unknown], new: Sequence[Unknown]) -> tuple[Unknown, ...]:
+    """The old ones, less those that the new ones stand for, and the new ones."""
+    names = {u.name for u in new}
+    return (*(u for u in old if u.name not in names), *new)

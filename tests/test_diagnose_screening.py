@@ -69,6 +69,18 @@ def test_a_trial_is_as_strong_as_what_is_there_and_what_is_added_and_never_less_
     assert trial.on(model).effects["coulomb"].torque_nm == pytest.approx(torque_nm)
 
 
+@pytest.mark.parametrize("phase_rad", [0.0, 0.7, -0.8, 1.5])
+def test_two_templates_tell_a_misalignment_of_any_phase(phase_rad: float) -> None:
+    """Its error turns twice as its phase turns once, and grows with the square of the angle."""
+    hidden = MODEL.with_effect("misalignment", angle_rad=0.06, phase_rad=phase_rad)
+    seen, base, tried, _ = rested(hidden, 34, band_of="lag")
+    found = first(screen(seen, base, tried), "misalignment")
+    assert found.gain > 0.2  # the rest is noise
+    assert found.trial.size == pytest.approx(0.06, rel=0.1)
+    off_rad = float(found.trial.settings["phase_rad"]) - phase_rad
+    assert abs(np.sin(off_rad)) < 0.1  # half a turn is the same joint
+
+
 @pytest.mark.parametrize(("compliance_rad_per_nm", "hub_share"), [(0.045, 0.3), (0.012, 0.45)])
 def test_a_resonance_is_sought_from_trials_as_they_were_tried(
     compliance_rad_per_nm: float, hub_share: float

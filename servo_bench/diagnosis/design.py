@@ -27,6 +27,7 @@ from servo_bench.diagnosis.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.gate import material_sizes
 from servo_bench.diagnosis.hypotheses import Hypothesis, Scales, Trial, hypotheses, scales_of
 from servo_bench.diagnosis.rows import Array
+from servo_bench.diagnosis.screening import quarter_rad
 from servo_bench.diagnosis.unknowns import Unknown, nuisances
 from servo_bench.excitation.experiment import Experiment, Phase
 from servo_bench.recording.recording import Recording
@@ -251,7 +252,7 @@ def _at_smallest(
         yield trial
         return
     phase = float(trial.settings.get("phase_rad", 0.0))
-    for turned in (phase, phase + 0.5 * np.pi):
+    for turned in (phase, phase + quarter_rad(hypothesis.effect)):
         settings = {**trial.settings, "phase_rad": turned}
         yield replace(trial, settings=settings)
 

@@ -34,6 +34,8 @@ SMALLEST = 0.1
 QUARTER, RIDGE = np.pi / 2.0, 1e-6
 AT_BOUND = 0.02
 """Nearer to a bound than this share of the band is at it."""
+SECOND_ORDER = frozenset({"misalignment"})
+"""Its error goes with the square of its strength, and turns twice as its phase turns once."""
 STEEP = frozenset({*SPRINGS, "clock_skew"})
 """What is sought from trials at their own size (none has a phase)."""
 
@@ -96,8 +98,16 @@ def _phased(hypothesis: Hypothesis) -> list[tuple[Trial, ...]]:
         elif trial.beside:
             found += [(_turned(trial, phase),) for phase in np.arange(8) * (np.pi / 4.0)]
         else:
-            found.append((_turned(trial, 0.0), _turned(trial, QUARTER)))
+            found.append((_turned(trial, 0.0), _turned(trial, quarter_rad(trial.effect))))
     return found
+
+
+def quarter_rad(effect: str) -> float:
+    """What turns an effect's error by a quarter of its period: two so far apart span every phase.
+
+    Two that are half a period apart are one and its negative, and span one.
+    """
+    return QUARTER / 2.0 if effect in SECOND_ORDER else QUARTER
 
 
 def _turned(trial: Trial, phase_rad: float) -> Trial:
@@ -118,6 +128,8 @@ def _at_phase(trial: Trial, amounts: Array) -> Trial:
     """The trial at the phase and size that two amounts, at 0 and a quarter, make."""
     size = float(np.hypot(*amounts))
     phase = float(np.arctan2(amounts[1], amounts[0]))
+    if trial.effect in SECOND_ORDER:
+        size, phase = np.sqrt(size), phase / 2.0
     scaled = trial.times(float(np.clip(size, 0.02, 20.0)))
     settings = {**scaled.settings, "phase_rad": phase}
     return replace(scaled, settings=settings)

@@ -33,7 +33,7 @@ def again(hidden: Model, seed: int, asked: frozenset[str] = ASKED) -> list[Named
     scales = scales_of(MODEL, commands, MODEL.simulate(commands, PERIOD_S))
     band = nuisances(scales.rig_torque_nm, scales.speed_rad_s, scales.gap_rad)
     plain = seek(seen, MODEL, band, iterations=3)
-    late = Late(seen, hypotheses(scales, only=[COUPLING]), scales, band, nothing_told)
+    late = Late(seen, seen, hypotheses(scales, only=[COUPLING]), scales, band, nothing_told)
     found = asked_again(late, plain, asked)
     return None if found is None else found[1]
 

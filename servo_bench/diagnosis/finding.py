@@ -58,6 +58,7 @@ from servo_bench.diagnosis.readying import (
     turns_of,
     whole_order,
 )
+from servo_bench.diagnosis.rounding import rounding
 from servo_bench.diagnosis.rounds import (
     LEAST_GAIN,
     REFINES,
@@ -166,7 +167,7 @@ def find_causes(
     final, named = run_off(whole, final, named, band, report)
     plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
     before = misfit(whole, plain.errors)
-    late = Late(whole, candidates, scales, band, report)
+    late = Late(quick, whole, candidates, scales, band, report)
     noted = any(is_noted(n.effect, before) for n in named)
     again = hidden_by_coasting(rounds, material_sizes(scales))
     joint = None if noted else asked_again(late, plain, again)
@@ -208,7 +209,7 @@ def find_causes(
         turns=turns,
         rounds=tuple(rounds),
         misfit_before=before,
-        misfit_after=misfit(whole, final.errors, _beside(whole, final.model, scales)),
+        misfit_after=misfit(whole, final.errors, _beside(whole, final.model, scales, grid)),
         notes=(*ready.notes, *_of_the_rows(came, rows)),
         seconds=time.perf_counter() - began,
     )
@@ -235,12 +236,13 @@ def _worth_telling(
     return [n for one in noted for n in worth_a_name(one, final, scales)], small
 
 
-def _beside(whole: Evidence, model: Model, scales: Scales) -> Array:
+def _beside(whole: Evidence, model: Model, scales: Scales, grid: Lattice | None) -> Array:
     """What this very model may miss beside what every right one may, in the signals' units."""
     beside = (
         bounces(whole, model),
         unevenness(whole, model, scales.rig_torque_nm),
         ticks(whole, model),
+        rounding(whole, grid.quantum_rad if grid is not None else 0.0),
     )
     return np.asarray(np.linalg.norm(beside, axis=0))
 

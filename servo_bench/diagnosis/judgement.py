@@ -22,9 +22,10 @@ from servo_bench.diagnosis.evidence import block_z
 from servo_bench.diagnosis.finding import Finding
 from servo_bench.diagnosis.free import unit_of
 from servo_bench.diagnosis.gate import RIGHT, material_sizes
-from servo_bench.diagnosis.hypotheses import Scales
+from servo_bench.diagnosis.hypotheses import DETECTED, Scales
 from servo_bench.diagnosis.joint import Named
 from servo_bench.diagnosis.readying import order_tolerance
+from servo_bench.diagnosis.rounding import rounding_of
 from servo_bench.diagnosis.rows import Array, Mask
 from servo_bench.diagnosis.seeking import Found
 from servo_bench.diagnosis.sensors import misread
@@ -81,7 +82,7 @@ def verdict_of(finding: Finding) -> Verdict:
         undecided=tuple(_undecided(finding)),
         next_run=next((c.splitting_experiment for c in named if c.splitting_experiment), ""),
         nominal=_nominal(model),
-        effects={name: dict(table) for name, table in model.to_table().items() if table},
+        effects=_effects(model, named),
         nuisances=_nuisances(finding),
         seconds=finding.seconds,
     )
@@ -330,7 +331,7 @@ def _error(finding: Finding, model: Model) -> ErrorFigures | None:
     )
     where = comparison.seen | comparison.held_out if whole else comparison.held_out
     before, after = _rms(sent, finding.nominal, where), _rms(comparison, model, where)
-    floor = comparison.signals[0].floor
+    floor = _floor(comparison, finding)
     explainable = before**2 - floor**2
     share = (before**2 - after**2) / explainable if explainable > 0.0 else 0.0
     return ErrorFigures(
@@ -340,6 +341,15 @@ def _error(finding: Finding, model: Model) -> ErrorFigures | None:
         share_explained=float(np.clip(share, 0.0, 1.0)),
         signal=comparison.signals[0].name,
         unit=comparison.signals[0].unit,
+    )
+
+
+def _floor(comparison: Comparison, finding: Finding) -> float:
+    """Of the first signal: its sensor's, and what the rounding of a coarse angle adds to it."""
+    first, grid = comparison.signals[0], finding.lattice
+    quantum_rad = grid.quantum_rad if grid is not None else 0.0
+    return float(
+        np.hypot(first.floor, rounding_of(first, quantum_rad, comparison.source.rows.period_s))
     )
 
 
@@ -391,6 +401,16 @@ def _travel(angle: Array) -> float:
 def _nominal(model: Model) -> dict[str, float]:
     nominal = model.nominal
     return {name: float(getattr(nominal, name)) for name in nominal.__dataclass_fields__}
+
+
+def _effects(model: Model, named: Sequence[Cause]) -> dict[str, dict[str, float]]:
+    """What the extended rig has: the fitted model's effects, and those that no fit has, because
+    they stand in the data itself (a lattice, commands that were lost)."""
+    found = {name: dict(table) for name, table in model.to_table().items() if table}
+    for cause in named:
+        if cause.effect in DETECTED:
+            found[cause.effect] = {name: q.value for name, q in cause.parameters.items()}
+    return found
 
 
 def _nuisances(finding: Finding) -> dict[str, float]:

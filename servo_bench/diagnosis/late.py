@@ -49,8 +49,9 @@ BEHIND = frozenset({"backlash_width", "encoder_subdivision"})
 
 
 class Late(NamedTuple):
-    """What is asked of all that was recorded, and with what."""
+    """What is asked of all that was recorded, and with what; `quick` is its beginning."""
 
+    quick: Evidence
     whole: Evidence
     candidates: Sequence[Hypothesis]
     scales: Scales
@@ -127,7 +128,9 @@ def _play_late_round(
     whole, sizes = late.whole, material_sizes(late.scales)
     base = seek(whole, final.model, final.unknowns, final.sigma, iterations=4, first=1)
     told = _in_late_effects(late.report)
-    played = play_round(whole, base, asked, sizes, told, least=LEAST, settled=True)
+    played = play_round(
+        whole, base, asked, sizes, told, least=LEAST, settled=True, scouted=late.quick
+    )
     for found in played.contenders:
         named = Named(found.effect, played, found, own_unknowns(found, found.effect))
         if able(found) and is_worth_it(named, found.found, late.scales):

@@ -124,13 +124,15 @@ def play_round(
     *,
     least: float = LEAST_GAIN,
     settled: bool = False,
+    scouted: Evidence | None = None,
 ) -> Round:
     """Screen and fit. Contenders may be empty: then nothing promised anything.
 
     `sizes` are those below which an effect is worth no name: what promises little, and is so small,
     is not fitted; nor is what promises less than `least` of the cost. Beside a base that is
     `settled` on these very data searches begin with narrow differences, and one that gains nothing,
-    or far less than the best, goes no further.
+    or far less than the best, goes no further. What rings shows in little of what was recorded:
+    where a spring's searches begin may be `scouted` there.
     """
     told("screening")
     screened = screen(quick, base, hypotheses)
@@ -141,7 +143,8 @@ def play_round(
     for one in worth:
         told(f"fitting {one.hypothesis.effect}")
         try:
-            first.append((one, _fitted(quick, base, one, first=SETTLED if settled else 0)))
+            began = SETTLED if settled else 0
+            first.append((one, _fitted(quick, base, one, first=began, scouted=scouted)))
         except FitError:
             continue
     if settled:
@@ -243,11 +246,22 @@ def _most(one: Screened, sizes: Mapping[str, float]) -> float:
     return 0.6 * sizes.get(one.hypothesis.effect, 0.0)
 
 
-def _fitted(quick: Evidence, base: Found, one: Screened, *, first: int = 0) -> Found:
+def _fitted(
+    quick: Evidence,
+    base: Found,
+    one: Screened,
+    *,
+    first: int = 0,
+    scouted: Evidence | None = None,
+) -> Found:
     """From the best of a few sizes: what a template foretells is often too much. What is steep is
     sought from where a few of its trials came to."""
     if one.tried:
-        starts = approached(quick, base, one.hypothesis, one.tried)
+        where, beside = quick, base
+        if scouted is not None and one.hypothesis.effect in SPRINGS:
+            where = scouted
+            beside = seek(where, base.model, base.unknowns, base.sigma, iterations=1, first=SETTLED)
+        starts = approached(where, beside, one.hypothesis, one.tried)
         ends = [
             seek(quick, s.model, s.unknowns, base.sigma, iterations=2, first=first) for s in starts
         ]

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from servo_bench.diagnosis.concluding import conclude
 from servo_bench.diagnosis.evidence import evidence_of
-from servo_bench.diagnosis.finding import find_causes
-from servo_bench.diagnosis.judgement import verdict_of
 from servo_bench.diagnosis.rounding import rounding_of
+from servo_bench.report.diagnosis_page import diagnosis_report
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, nominal_with, recorded, with_channels
 
@@ -37,10 +37,11 @@ def test_a_very_coarse_encoder_is_named_and_the_extended_rig_has_it() -> None:
     """Its steps are a fifth of the gap, where no simulation comes any nearer."""
     rig, quantum_rad = Model(nominal_with(backlash_gap_rad=math.radians(0.6))), math.radians(0.12)
     hidden = rig.with_effect("quantisation", count_rad=quantum_rad)
-    verdict = verdict_of(
-        find_causes([recorded(hidden, 72, slots=1500)], rig, only=("quantisation", "coulomb"))
-    )
+    run = recorded(hidden, 72, slots=1500)
+    concluded = conclude([run], model=rig, only=("quantisation", "coulomb"))
+    verdict = concluded.verdict
     assert verdict.names == ("quantisation",), verdict.sentence
     assert verdict.effects["quantisation"]["count_rad"] == pytest.approx(quantum_rad, rel=1e-3)
     assert verdict.error is not None
     assert verdict.error.after == pytest.approx(verdict.error.noise_floor, rel=0.2)
+    assert "lies on steps of 0.002094 rad" in diagnosis_report(verdict, concluded.finding, run)

@@ -116,6 +116,11 @@ class Finding:
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
 
+    @property
+    def quantum_rad(self) -> float:
+        """Of the load's angle, where it lies on a lattice of its own; else zero."""
+        return self.lattice.quantum_rad if self.lattice is not None else 0.0
+
 
 def nothing_told(_: str) -> None:
     """Progress that nobody wants."""

@@ -25,7 +25,7 @@ from servo_bench.diagnosis.gate import RIGHT, material_sizes
 from servo_bench.diagnosis.hypotheses import DETECTED, Scales
 from servo_bench.diagnosis.joint import Named
 from servo_bench.diagnosis.readying import order_tolerance
-from servo_bench.diagnosis.rounding import rounding_of
+from servo_bench.diagnosis.rounding import floor_of
 from servo_bench.diagnosis.rows import Array, Mask
 from servo_bench.diagnosis.seeking import Found
 from servo_bench.diagnosis.sensors import misread
@@ -331,7 +331,8 @@ def _error(finding: Finding, model: Model) -> ErrorFigures | None:
     )
     where = comparison.seen | comparison.held_out if whole else comparison.held_out
     before, after = _rms(sent, finding.nominal, where), _rms(comparison, model, where)
-    floor = _floor(comparison, finding)
+    first, period_s = comparison.signals[0], comparison.source.rows.period_s
+    floor = floor_of(first, finding.quantum_rad, period_s)
     explainable = before**2 - floor**2
     share = (before**2 - after**2) / explainable if explainable > 0.0 else 0.0
     return ErrorFigures(
@@ -339,17 +340,8 @@ def _error(finding: Finding, model: Model) -> ErrorFigures | None:
         after=after,
         noise_floor=floor,
         share_explained=float(np.clip(share, 0.0, 1.0)),
-        signal=comparison.signals[0].name,
-        unit=comparison.signals[0].unit,
-    )
-
-
-def _floor(comparison: Comparison, finding: Finding) -> float:
-    """Of the first signal: its sensor's, and what the rounding of a coarse angle adds to it."""
-    first, grid = comparison.signals[0], finding.lattice
-    quantum_rad = grid.quantum_rad if grid is not None else 0.0
-    return float(
-        np.hypot(first.floor, rounding_of(first, quantum_rad, comparison.source.rows.period_s))
+        signal=first.name,
+        unit=first.unit,
     )
 
 

@@ -23,6 +23,11 @@ def rounding(whole: Evidence, quantum_rad: float) -> Array:
     return FLOORS * np.array([rounding_of(s, quantum_rad, period_s) for s in seen.signals])
 
 
+def floor_of(signal: Signal, quantum_rad: float, period_s: float) -> float:
+    """One standard deviation that the sensor leaves, with this rounding, in the signal's unit."""
+    return float(np.hypot(signal.floor, rounding_of(signal, quantum_rad, period_s)))
+
+
 def rounding_of(signal: Signal, quantum_rad: float, period_s: float) -> float:
     """One standard deviation, in the signal's unit. An increment between means of n points has two
     ends, each of n samples, and goes over n periods."""

@@ -17,6 +17,7 @@ from servo_bench.diagnosis.locking import (
     line_shares,
 )
 from servo_bench.diagnosis.picture import Track
+from servo_bench.diagnosis.rounding import floor_of
 from servo_bench.diagnosis.rounds import Contender, Round
 from servo_bench.diagnosis.rows import Array, Mask
 from servo_bench.report.style import ACTUAL, BAND, MUTED, ORDER_1, ORDER_3, caption_axes
@@ -33,14 +34,16 @@ class Judged(NamedTuple):
     where: Array
     nominal: Array
     extended: Array
+    quantum_rad: float
 
     def rms(self) -> list[tuple[str, str, float, float, float]]:
         """Signal, unit, rms before and after, and the sensor's floor."""
+        period_s = self.comparison.source.rows.period_s
         before, after = (
             self.comparison.rms(e, self.where > 0.0) for e in (self.nominal, self.extended)
         )
         return [
-            (s.name, s.unit, float(b), float(a), s.floor)
+            (s.name, s.unit, float(b), float(a), floor_of(s, self.quantum_rad, period_s))
             for s, b, a in zip(self.comparison.signals, before, after, strict=True)
         ]
 
@@ -53,7 +56,7 @@ def judged(finding: Finding) -> Judged:
     if finding.held_out is not None:
         where = where | comparison.seen
     nominal, extended = comparison.errors_of([finding.nominal, finding.final.model])
-    return Judged(comparison, where.astype(np.float64), nominal, extended)
+    return Judged(comparison, where.astype(np.float64), nominal, extended, finding.quantum_rad)
 
 
 def draw_before_after(figure: Figure, found: Judged) -> None:
@@ -131,9 +134,8 @@ def _draw_blocks(axes: Axes, played: Round, chosen: Contender | None) -> None:
     caption_axes(axes, "advantage, sorted", "block (0.5 s each)", "signed root of cost")
     axes.axhline(0.0, color=MUTED, linewidth=0.6)
     if chosen is None:
-        axes.text(
-            0.5, 0.5, "nothing was fitted", ha="center", transform=axes.transAxes, color=MUTED
-        )
+        said = "none was accepted" if played.contenders else "nothing was fitted"
+        axes.text(0.5, 0.5, said, ha="center", transform=axes.transAxes, color=MUTED)
         return
     others = [c for c in played.contenders if c is not chosen]
     pairs = [(played.base_costs, "over the base", ORDER_3, "-")]

@@ -89,7 +89,7 @@ def _found(verdict: Verdict, finding: Finding) -> dict[str, Any]:
         "share": _share(verdict),
         "before_after": [_before_after(found)],
         "evidence": list(_evidence(finding)),
-        "evidence_words": list(_evidence_words(verdict)),
+        "evidence_words": list(_evidence_words(verdict, finding)),
         "signature": [
             Plate(
                 drawn(
@@ -129,12 +129,14 @@ def _evidence(finding: Finding) -> Iterator[Plate]:
     ]
     if not chosen and finding.rounds:
         chosen = [(finding.rounds[0], None)]
+    told = finding.lattice is not None or finding.lost.rows
+    none = "no other cause was accepted" if told else "nothing was convincing"
     for number, (played, contender) in enumerate(chosen, 1):
-        yield _round_plate(number, played, contender)
+        what = f"the evidence for {contender.effect}" if contender else none
+        yield _round_plate(number, played, contender, what)
 
 
-def _round_plate(number: int, played: Round, contender: Contender | None) -> Plate:
-    what = f"the evidence for {contender.effect}" if contender else "nothing was convincing"
+def _round_plate(number: int, played: Round, contender: Contender | None, what: str) -> Plate:
     return Plate(
         drawn(
             f"evidence-{number}",
@@ -149,7 +151,8 @@ def _round_plate(number: int, played: Round, contender: Contender | None) -> Pla
     )
 
 
-def _evidence_words(verdict: Verdict) -> Iterator[str]:
+def _evidence_words(verdict: Verdict, finding: Finding) -> Iterator[str]:
+    yield from _in_the_data(finding)
     for cause in verdict.causes:
         if cause.evidence is None:
             continue
@@ -158,6 +161,21 @@ def _evidence_words(verdict: Verdict) -> Iterator[str]:
         if cause.rival is not None and cause.over_rival is not None:
             text += f", and over its best rival, {_name(cause.rival)}, by {cause.over_rival:.1f}"
         yield text + "."
+
+
+def _in_the_data(finding: Finding) -> Iterator[str]:
+    """Causes that no fit has found, because they stand in the data themselves."""
+    grid, lost = finding.lattice, finding.lost
+    if grid is not None:
+        yield (
+            f"The load's angle lies on steps of {grid.quantum_rad:.4g} rad, at a clearness of "
+            f"{grid.clearness:.2f}: 1 where every sample does, 0 where none of them cares."
+        )
+    if lost.rows:
+        yield (
+            f"{len(lost.rows)} of {lost.changes} changes of the command left out the response to a "
+            "whole chip, as if the drive never had them."
+        )
 
 
 def _cause_rows(cause: Cause) -> Iterator[CauseRow]:

@@ -29,10 +29,12 @@ LAGS = ("current_loop_lag", "lag_s"), ("transport_delay", "delay_s")
 FRICTION_NM, FACE_RAD_PER_NM = 4e-3, 2e-3
 
 
-def fitted(seen: Evidence, effect: str, field: str) -> tuple[Found, Hypothesis]:
-    start = MODEL.with_effect(effect, **{field: 0.5 * LAG_S})
-    own = widened(effect, (field,), start, LAG_S)
-    hypothesis = Hypothesis(effect, (Trial(effect, {field: LAG_S}, LAG_S),), (field,))
+def fitted(
+    seen: Evidence, effect: str, field: str, size: float = LAG_S
+) -> tuple[Found, Hypothesis]:
+    start = MODEL.with_effect(effect, **{field: 0.5 * size})
+    own = widened(effect, (field,), start, size)
+    hypothesis = Hypothesis(effect, (Trial(effect, {field: size}, size),), (field,))
     return seek(seen, start, merged(BAND, own), iterations=4), hypothesis
 
 
@@ -54,6 +56,30 @@ def test_of_two_that_change_nearly_the_same_everything_tells_which(named: str) -
     # a filter of the velocity, in its band, takes a part of it
     lags_s = final.value("current_loop_lag.lag_s") + final.value("velocity_filter_lag.lag_s")
     assert lags_s == pytest.approx(LAG_S, rel=0.1)
+
+
+ONE_SIDED_NM = 4e-3
+ONE_SIDED = {"asymmetric_friction": "difference_torque_nm", "load_torque": "torque_nm"}
+
+
+@pytest.mark.parametrize("named", ONE_SIDED)
+@pytest.mark.parametrize("hidden", ONE_SIDED)
+def test_of_a_class_that_rest_tells_apart_the_one_that_fits_it_is_told_first(
+    hidden: str, named: str
+) -> None:
+    """While the shaft turns both are the same torque; a friction takes what comes at rest."""
+    rig = MODEL.with_effect(hidden, **{ONE_SIDED[hidden]: ONE_SIDED_NM})
+    whole = evidence_of([recorded(rig, 66, slots=900)], MODEL, block="loop")
+    base = seek(whole, MODEL, BAND, iterations=3)
+    both = [fitted(whole, *effect, ONE_SIDED_NM) for effect in ONE_SIDED.items()]
+    played = faced(whole, base, both)
+    (one,) = (c for c in played.contenders if c.effect == named)
+    first = Named(named, played, one, own_unknowns(one, named))
+    joint, _ = fit_jointly(whole, one.found, [first], BAND, nothing_told)
+    final, (kept,) = run_off(whole, joint, [first], BAND, nothing_told)
+    assert kept.effect == hidden
+    found_nm = final.value(f"{hidden}.{ONE_SIDED[hidden]}")
+    assert found_nm == pytest.approx(ONE_SIDED_NM, rel=0.1)
 
 
 def _as_good(contender: Contender, one: Contender) -> Contender:

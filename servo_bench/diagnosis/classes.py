@@ -14,6 +14,9 @@ CLASSES: tuple[frozenset[str], ...] = (
     frozenset({"torque_constant_error", "inertia_error"}),
     frozenset({"asymmetric_friction", "load_torque"}),
 )
+AT_REST = frozenset({"asymmetric_friction", "load_torque"})
+"""A class whose members differ where the shaft rests or turns back: the one that fits all of a
+recording better is told first."""
 SPLITS: dict[frozenset[str], str] = {
     frozenset({"torque_constant_error", "inertia_error"}): (
         "Hang a known weight on an arm, or add a disc of known inertia, and record once more: the "
@@ -64,6 +67,11 @@ BETTER_DATA = "Record motor position and torque as well, over full turns at two 
 def class_of(effect: str) -> frozenset[str]:
     """Everything that nobody could tell from `effect`, itself among them."""
     return frozenset({effect}).union(*(c for c in CLASSES if effect in c))
+
+
+def siblings_of(effect: str) -> frozenset[str]:
+    """Others of its class that some of a recording may tell from it."""
+    return AT_REST - {effect} if effect in AT_REST else frozenset()
 
 
 def splitting(effects: Iterable[str]) -> str:

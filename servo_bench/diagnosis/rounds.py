@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from servo_bench.diagnosis.approaching import approached
+from servo_bench.diagnosis.classes import siblings_of
 from servo_bench.diagnosis.evidence import Errors, Evidence, block_z
 from servo_bench.diagnosis.hypotheses import SPRINGS, VEHICLE, Hypothesis, Trial
 from servo_bench.diagnosis.rows import Array
@@ -158,12 +159,13 @@ def play_round(
     told("comparing")
     ranked = sorted(first, key=lambda pair: pair[1].cost)
     near = ranked[:3]
-    plain = _plain([one for one, _ in near])
-    near += [pair for pair in ranked[3:] if pair[0].hypothesis.effect in plain]
+    beside = _plain([one for one, _ in near])
+    beside |= {e for one, _ in near for e in siblings_of(one.hypothesis.effect)}
+    near += [pair for pair in ranked[3:] if pair[0].hypothesis.effect in beside]
     again = [(one, _again(quick, one, f, sigma)) for one, f in near]
-    beside = [m for one, f in again if (m := _less(f.model, _not_the_base_s(base, one)))]
+    without = [m for one, f in again if (m := _less(f.model, _not_the_base_s(base, one)))]
     cold = base if settled else _sought(quick, base, sigma)
-    rested = _rested(quick, cold, sigma, beside)
+    rested = _rested(quick, cold, sigma, without)
     ends = [(gone_on(quick, rested, f, _own(one)), one.hypothesis) for one, f in again]
     return faced(quick, rested, ends, screened, sigma=sigma)
 

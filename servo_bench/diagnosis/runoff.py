@@ -8,7 +8,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from servo_bench.diagnosis.classes import class_of
+from servo_bench.diagnosis.classes import class_of, siblings_of
 from servo_bench.diagnosis.evidence import Evidence
 from servo_bench.diagnosis.hypotheses import SPRINGS
 from servo_bench.diagnosis.joint import Named, fit_jointly, own_unknowns
@@ -65,11 +65,15 @@ def _brought(one: Named, contender: Contender) -> frozenset[str]:
 
 
 def _rivals(one: Named, named: Sequence[Named]) -> list[Contender]:
-    """Near ones that could be told from the cause, and are not named themselves."""
+    """Near ones that could be told from the cause, or from it where the shaft rests, and are not
+    named themselves."""
     if one.missed_z is not None or one.effect != one.contender.effect:
         return []
-    out = frozenset().union(*(class_of(n.effect) for n in named))
-    return [c for c in one.round.near(one.contender) if c.effect not in out]
+    siblings = siblings_of(one.effect)
+    out = frozenset().union(*(class_of(n.effect) for n in named)) - siblings
+    out |= {n.effect for n in named}
+    near = {c.effect for c in one.round.near(one.contender)} | siblings
+    return [c for c in one.round.contenders if c.effect in near - out]
 
 
 def _again(whole: Evidence, found: Found, own: Collection[str]) -> Found:

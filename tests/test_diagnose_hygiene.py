@@ -79,6 +79,17 @@ def test_a_coarse_angle_is_measured_by_its_lattice() -> None:
     assert lattice(compared(MODEL, 14), MODEL) is None
 
 
+def test_a_lattice_is_as_far_from_its_quantum_as_it_says() -> None:
+    off = []
+    for seed, quantum_rad in enumerate(np.geomspace(3.4e-4, 1.5e-3, 12).tolist(), 900):
+        coarse = MODEL.with_effect("quantisation", count_rad=quantum_rad)
+        found = lattice(compare(recorded(coarse, seed, slots=2000), MODEL, scales=SCALES), MODEL)
+        assert found is not None
+        off.append((found.quantum_rad - quantum_rad) / found.standard_error_rad)
+    assert np.abs(off).max() < 3.5
+    assert 0.5 < np.sqrt(np.mean(np.square(off))) < 1.5
+
+
 def test_a_lattice_is_found_in_noise_of_a_third_of_its_quantum() -> None:
     quantum_rad = 3.5e-4
     noisy = with_channels(

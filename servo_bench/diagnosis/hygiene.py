@@ -182,14 +182,23 @@ def lattice(comparison: Comparison, model: Model) -> Lattice | None:
         return None
     frequency = float(frequencies[stands_out][np.argmax(score[stands_out])])
     centred = angle - angle.mean()
-    near = frequency + np.linspace(-0.5, 0.5, 101) / travel
+    near, step = np.linspace(frequency - 0.5 / travel, frequency + 0.5 / travel, 101, retstep=True)
     refined = np.abs(np.exp(2j * np.pi * np.outer(near, centred)).mean(axis=1))
     frequency, clear = float(near[np.argmax(refined)]), float(refined.max())
     of_command = abs(np.exp(2j * np.pi * frequency * shown).mean())
     if of_command > 0.5 * clear:
         return None
-    spread = np.sqrt(max(1.0 - clear, 1e-6)) / (travel * np.sqrt(angle.size)) / frequency**2
-    return Lattice(1.0 / frequency, float(spread), clear)
+    return Lattice(1.0 / frequency, _spread(centred, clear, float(step)) / frequency**2, clear)
+
+
+def _spread(centred: Array, clear: float, step: float) -> float:
+    """Standard deviation of a lattice's frequency, 1/rad, sought on a grid of such steps.
+
+    Phases 2 pi f y scatter by (1 - c^2)/(2 c^2) about a line of slope 2 pi df over the angles y.
+    """
+    phase_rad = np.sqrt(max(1.0 - clear**2, 1e-6) / 2.0) / clear
+    slope = phase_rad / (2.0 * np.pi * np.sqrt(float(centred @ centred)))
+    return float(np.hypot(slope, step / np.sqrt(12.0)))
 
 
 def _spectrum(angle: Array, travel: float, highest: float) -> tuple[Array, Array]:

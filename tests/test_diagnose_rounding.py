@@ -27,9 +27,8 @@ def test_rounding_adds_to_every_signal_what_it_is_said_to_add(quantum_rad: float
         said = rounding_of(signal, quantum_rad, period_s)
         if signal.channel == "motor_position_rad":
             assert said == 0.0
-        elif (
-            signal.channel == "load_angle_rad" and signal.stride < 30
-        ):  # a slow angle rests on one step
+        elif signal.channel == "load_angle_rad" and signal.stride < 30:
+            # over longer ones a slow angle rests on one step
             assert rms == pytest.approx(said, rel=0.15), signal.name
 
 

@@ -10,13 +10,13 @@ Others that a record cannot tell apart are found for that record, as near rivals
 
 from collections.abc import Iterable
 
-CLASSES: tuple[frozenset[str], ...] = (
-    frozenset({"torque_constant_error", "inertia_error"}),
-    frozenset({"asymmetric_friction", "load_torque"}),
-)
 AT_REST = frozenset({"asymmetric_friction", "load_torque"})
 """A class whose members differ where the shaft rests or turns back: the one that fits all of a
 recording better is told first."""
+CLASSES: tuple[frozenset[str], ...] = (
+    frozenset({"torque_constant_error", "inertia_error"}),
+    AT_REST,
+)
 SPLITS: dict[frozenset[str], str] = {
     frozenset({"torque_constant_error", "inertia_error"}): (
         "Hang a known weight on an arm, or add a disc of known inertia, and record once more: the "

@@ -88,7 +88,7 @@ def _found(verdict: Verdict, finding: Finding) -> dict[str, Any]:
         "gains": [_gain(*row) for row in found.rms()],
         "share": _share(verdict),
         "before_after": [_before_after(found)],
-        "evidence": list(_evidence(finding)),
+        "evidence": list(_evidence(verdict, finding)),
         "evidence_words": list(_evidence_words(verdict, finding)),
         "signature": [
             Plate(
@@ -122,15 +122,14 @@ def _before_after(found: Judged) -> Plate:
     )
 
 
-def _evidence(finding: Finding) -> Iterator[Plate]:
+def _evidence(verdict: Verdict, finding: Finding) -> Iterator[Plate]:
     """For every named cause its round; else the first round, with nothing chosen."""
     chosen: list[tuple[Round, Contender | None]] = [
         (n.round, n.contender) for n in finding.named if n.missed_z is None
     ]
     if not chosen and finding.rounds:
         chosen = [(finding.rounds[0], None)]
-    told = finding.lattice is not None or finding.lost.rows
-    none = "no other cause was accepted" if told else "nothing was convincing"
+    none = "no other cause was accepted" if verdict.causes else "nothing was convincing"
     for number, (played, contender) in enumerate(chosen, 1):
         what = f"the evidence for {contender.effect}" if contender else none
         yield _round_plate(number, played, contender, what)

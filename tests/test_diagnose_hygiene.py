@@ -101,11 +101,31 @@ def test_a_lattice_is_found_in_noise_of_a_third_of_its_quantum() -> None:
     assert found.quantum_rad == pytest.approx(quantum_rad, rel=1e-3)
 
 
+def test_an_angle_that_is_but_partly_on_a_lattice_has_none() -> None:
+    """A third of the rows, as chips of equal size leave it: of one that an encoder makes this noise
+    leaves nine tenths."""
+    clean, quantum_rad, noise_rad = recorded(MODEL, 17, slots=2500, noise_counts=0.0), 1.5e-3, 1e-4
+    angle = np.array(clean["load_angle_rad"])
+    angle[::3] = np.rint(angle[::3] / quantum_rad) * quantum_rad
+    everywhere = _coarse(np.array(clean["load_angle_rad"]), quantum_rad, noise_rad)
+    partly, all_of_it = (
+        compare(with_channels(clean, load_angle_rad=a), MODEL, scales=SCALES)
+        for a in (_noisy(angle, noise_rad), everywhere)
+    )
+    assert lattice(partly, MODEL) is None
+    assert lattice(all_of_it, MODEL) is not None
+
+
 def _coarse(angle_rad: np.ndarray, quantum_rad: float, noise_rad: float) -> np.ndarray:
-    """A coarse encoder's angle with white noise that came after it, in counts of a finer one."""
+    """A coarse encoder's angle with white noise that came after it."""
+    return _noisy(np.rint(angle_rad / quantum_rad) * quantum_rad, noise_rad)
+
+
+def _noisy(angle_rad: np.ndarray, noise_rad: float) -> np.ndarray:
+    """With white noise, in counts of a finer encoder."""
     white = noise_rad * np.random.default_rng(16).standard_normal(angle_rad.size)
     count_rad = math.tau / 65536
-    return np.rint((np.rint(angle_rad / quantum_rad) * quantum_rad + white) / count_rad) * count_rad
+    return np.rint((angle_rad + white) / count_rad) * count_rad
 
 
 @pytest.mark.parametrize("order", [12.0, 24.0])

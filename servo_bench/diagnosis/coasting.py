@@ -19,9 +19,10 @@ from sim_rig.effects import backlash_width
 from sim_rig.errors import EffectError
 from sim_rig.model import Model
 
-WRONG, ASKED, RIGHT = 0.5, 0.15, 1.0
+WRONG, ASKED, RIGHT, BEHIND = 0.5, 0.15, 1.0, 2.0
 """Misfit of the twist from which on coasting is told, and while a cause may yet be found beside it
-asked, and of the rest up to which."""
+asked; of the rest up to which; and of the load's own angle, which is the twist's where the motor is
+right."""
 LIGHT = 0.001
 """Of the inertia: a load of which the motor feels next to nothing."""
 SLOWED_RAD_S2 = (100.0, 170.0, 280.0, 460.0, 760.0, 1250.0, 2100.0, 3500.0)
@@ -152,9 +153,14 @@ def _own(model: Model) -> tuple[Unknown, ...]:
 
 
 def _only_the_twist(whole: Evidence, final: Found, least: float) -> bool:
-    """Whether the twist misses so much, and nothing else more than it may."""
+    """Whether the twist misses so much, and nothing before the gap more than it may."""
     missed = misfit(whole, final.errors)
-    twist = np.array([name.startswith("twist") for name in whole.names])
+    twist, load = (
+        np.array([name.startswith(behind) for name in whole.names]) for behind in ("twist", "load")
+    )
     if not twist.any():
         return False
-    return bool(missed[twist].max() > least and missed[~twist].max(initial=0.0) < RIGHT)
+    before = missed[~(twist | load)].max(initial=0.0)
+    return bool(
+        missed[twist].max() > least and before < RIGHT and missed[load].max(initial=0.0) < BEHIND
+    )

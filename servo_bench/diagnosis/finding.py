@@ -25,7 +25,7 @@ import numpy as np
 from servo_bench.diagnosis.allowance import SCALES
 from servo_bench.diagnosis.bounces import bounces
 from servo_bench.diagnosis.classes import class_of
-from servo_bench.diagnosis.coasting import is_coasting, with_coasting
+from servo_bench.diagnosis.coasting import OTHERWISE, is_coasting, with_coasting
 from servo_bench.diagnosis.comparison import Choice, compare
 from servo_bench.diagnosis.crossing import crossing_s
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
@@ -311,14 +311,17 @@ def _rounds(
     failed = list[Round]()
     open_, sizes, turns = list(candidates), material_sizes(scales), list[set[str]]()
     for number in range(MOST_ROUNDS):
-        asked = [h for h in open_ if not any(h.effect in failed for failed in turns)]
+        beside = with_coasting(quick, now) if named else now
+        kept = OTHERWISE if is_coasting(beside.model) else frozenset[str]()
+        out = kept.union(*turns)
+        asked = [h for h in open_ if h.effect not in out]
         if not asked or len(named) == MOST_CAUSES:
             break
-        missed = float(misfit(quick, now.errors).max())
+        missed = float(misfit(quick, beside.errors).max())
         right = bool(named) and missed < RIGHT_ALREADY
         least = FURTHER_PROMISE if right else LEAST_GAIN
         told = _in_round(number + 1, report)
-        played = play_round(quick, now, asked, sizes, told, least=least)
+        played = play_round(quick, beside, asked, sizes, told, least=least)
         rounds.append(played)
         failed.append(played)
         accepted = accepted_of(played, len(named), right=right)

@@ -9,13 +9,15 @@ coarse angle lies on a lattice of its quantum, whatever moves. Both are exact st
 neither is a fit.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-from servo_bench.diagnosis.comparison import Comparison
+from servo_bench.diagnosis.comparison import Comparison, Signal
+from servo_bench.diagnosis.rounding import ROUNDED, rounding_of
 from servo_bench.diagnosis.rows import Array
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
@@ -38,6 +40,9 @@ FINEST_QUANTUM_RAD, COARSEST_QUANTUM_RAD = 1.5e-4, 3e-3
 LATTICE, ABOUT_BINS = 5.0, 801
 """Mean of exp(2 pi j y / q) over its own rms at neighbouring q, which chance, and chips of equal
 size, bring to less than 4."""
+HALF = 0.5
+"""Of a lattice's clearness: what the command's own steps may have of it, and of what noise leaves of
+a true one, the least."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +163,8 @@ def lattice(comparison: Comparison, model: Model) -> Lattice | None:
     """The coarsest lattice that the load angle lies on, beyond the encoder's own counts.
 
     Chips of equal size put the angle itself on something like one: where the simulated angle lies
-    on it too, it is the command's.
+    on it too, it is the command's. Where that drifts off it, or by chance, it is less clear than
+    the sensor's noise would leave one that the encoder makes.
     """
     rows, piece = comparison.source.rows, comparison.pieces[0].piece
     if not rows.has("load_angle_rad") or comparison.block != "loop":
@@ -186,9 +192,17 @@ def lattice(comparison: Comparison, model: Model) -> Lattice | None:
     refined = np.abs(np.exp(2j * np.pi * np.outer(near, centred)).mean(axis=1))
     frequency, clear = float(near[np.argmax(refined)]), float(refined.max())
     of_command = abs(np.exp(2j * np.pi * frequency * shown).mean())
-    if of_command > 0.5 * clear:
+    expected = _as_clear_as(1.0 / frequency, comparison.signals, rows.period_s)
+    if of_command > HALF * clear or clear < HALF * expected:
         return None
     return Lattice(1.0 / frequency, _spread(centred, clear, float(step)) / frequency**2, clear)
+
+
+def _as_clear_as(quantum_rad: float, signals: Sequence[Signal], period_s: float) -> float:
+    """What the sensor's noise s leaves of a lattice: exp(-(2 pi s/q)^2 / 2), s from its floor."""
+    shown = next(s for s in signals if s.channel == ROUNDED)
+    one_quantum = np.sqrt(12.0) * rounding_of(shown, quantum_rad, period_s)
+    return float(np.exp(-0.5 * (2.0 * np.pi * shown.floor / one_quantum) ** 2))
 
 
 def _spread(centred: Array, clear: float, step: float) -> float:

@@ -103,7 +103,8 @@ def asked_late(
     slow = SLOW | BEHIND if is_coasting(final.model) else SLOW
     unsure_of = open_ - slow - (OTHERWISE if is_coasting(final.model) else frozenset())
     out = frozenset().union(*(class_of(n.effect) for n in named))
-    asked = [h for h in late.candidates if h.effect in (slow | unsure_of) - out]
+    plain = frozenset(REFINES[effect] for effect in slow & REFINES.keys())
+    asked = [h for h in late.candidates if h.effect in (slow | plain | unsure_of) - out]
 
     def is_able(one: Contender) -> bool:
         return passes_slowly(one) and (one.effect not in unsure_of or promises(one))
@@ -131,7 +132,11 @@ def _play_late_round(
     played = play_round(
         whole, base, asked, sizes, told, least=LEAST, settled=True, scouted=late.quick
     )
+    names = [found.effect for found in played.contenders]
     for found in played.contenders:
+        plain = REFINES.get(found.effect)
+        if plain in names and names.index(plain) < names.index(found.effect):
+            continue  # it is that, whether that is worth a name or not
         named = Named(found.effect, played, found, own_unknowns(found, found.effect))
         if able(found) and is_worth_it(named, found.found, late.scales):
             return named

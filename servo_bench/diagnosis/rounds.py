@@ -139,7 +139,8 @@ def play_round(
     screened = screen(quick, base, hypotheses)
     able = [s for s in screened if s.gain > WORTH_ANYHOW or _largest(s) > _most(s, sizes)]
     worth = [s for s in able if s.gain > max(least, WORTH * able[0].gain)][:FITTED]
-    worth += [s for s in able if s.hypothesis.effect in _plain(worth)]
+    also = _plain(worth) | _siblings(worth)
+    worth += [s for s in able if s.hypothesis.effect in also]
     first: list[tuple[Screened, Found]] = []
     for one in worth:
         told(f"fitting {one.hypothesis.effect}")
@@ -160,7 +161,7 @@ def play_round(
     ranked = sorted(first, key=lambda pair: pair[1].cost)
     near = ranked[:3]
     beside = _plain([one for one, _ in near])
-    beside |= {e for one, _ in near for e in siblings_of(one.hypothesis.effect)}
+    beside |= _siblings([one for one, _ in near])
     near += [pair for pair in ranked[3:] if pair[0].hypothesis.effect in beside]
     again = [(one, _again(quick, one, f, sigma)) for one, f in near]
     without = [m for one, f in again if (m := _less(f.model, _not_the_base_s(base, one)))]
@@ -230,6 +231,12 @@ def _plain(found: Sequence[Screened]) -> set[str]:
     """What those that are there must beat: the plain cause that they refine."""
     names = {s.hypothesis.effect for s in found}
     return {REFINES[name] for name in names if name in REFINES} - names
+
+
+def _siblings(found: Sequence[Screened]) -> set[str]:
+    """What rests may tell from those that are there, and nothing else does."""
+    names = {s.hypothesis.effect for s in found}
+    return {e for name in names for e in siblings_of(name)} - names
 
 
 def _hopeful(found: Sequence[tuple[Screened, Found]], base: Found) -> list[tuple[Screened, Found]]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from servo_bench.diagnosis import rounds
 from servo_bench.diagnosis.bounces import on_other_faces
 from servo_bench.diagnosis.coasting import coasting
 from servo_bench.diagnosis.evidence import Evidence, evidence_of
@@ -80,6 +81,19 @@ def test_of_a_class_that_rest_tells_apart_the_one_that_fits_it_is_told_first(
     assert kept.effect == hidden
     found_nm = final.value(f"{hidden}.{ONE_SIDED[hidden]}")
     assert found_nm == pytest.approx(ONE_SIDED_NM, rel=0.1)
+
+
+def test_of_a_class_that_rest_tells_apart_both_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However little the one promised beside others: what was not fitted cannot compete."""
+    monkeypatch.setattr(rounds, "FITTED", 1)
+    rig = MODEL.with_effect("load_torque", torque_nm=ONE_SIDED_NM)
+    run = recorded(rig, 67, slots=600)
+    seen = evidence_of([run], MODEL, block="loop")
+    commands = np.asarray(run["velocity_command_rad_s"])
+    scales = scales_of(MODEL, commands, MODEL.simulate(commands, run.period_s))
+    asked = hypotheses(scales, only=[*ONE_SIDED, "gravity_imbalance"])
+    played = rounds.play_round(seen, seek(seen, MODEL, BAND, iterations=3), asked, {}, nothing_told)
+    assert {c.effect for c in played.contenders} == set(ONE_SIDED)
 
 
 def _as_good(contender: Contender, one: Contender) -> Contender:

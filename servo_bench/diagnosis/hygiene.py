@@ -41,8 +41,8 @@ LATTICE, ABOUT_BINS = 5.0, 801
 """Mean of exp(2 pi j y / q) over its own rms at neighbouring q, which chance, and chips of equal
 size, bring to less than 4."""
 HALF = 0.5
-"""Of a lattice's clearness: what the command's own steps may have of it, and of what noise leaves of
-a true one, the least."""
+"""Of a lattice's clearness: what the command's own steps may have of it; and the least, of what
+noise leaves of a true one."""
 
 
 @dataclass(frozen=True, slots=True)

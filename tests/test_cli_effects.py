@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 from servo_bench.cli import app as cli
 from servo_bench.cli import effects as command
-from servo_bench.diagnosis.domains import ORDERS, Domains, domains
-from servo_bench.diagnosis.signature import Signature, cosine, rivals, signatures
+from servo_bench.diagnosis.judging.domains import ORDERS, Domains, domains
+from servo_bench.diagnosis.judging.signature import Signature, cosine, rivals, signatures
 from servo_bench.errors import ConfigError
 from servo_bench.report.effect_words import overview, range_of, unit_of
 from sim_rig.effects import catalogue

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from servo_bench.cli import app as cli
-from servo_bench.diagnosis.fit import Fit, fit
+from servo_bench.diagnosis.fitting.fit import Fit, fit
 from servo_bench.errors import FitError
 from servo_bench.excitation.experiment import MSequence
 from servo_bench.recording.recording import Recording

@@ -17,7 +17,7 @@ from servo_bench.daemon.config import load_bench
 from servo_bench.daemon.core import Daemon
 from servo_bench.daemon.jobs import KEPT, Job, Jobs, Kind
 from servo_bench.daemon.log import log
-from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.diagnosis.judging.verdict import Verdict
 from servo_bench.run.virtual import save
 from tests.asgi_client import AsgiClient
 from tests.daemon_process import write_bench

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from servo_bench.diagnosis.coasting import (
+from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
+from servo_bench.diagnosis.searching.coasting import (
     coasting,
     given_back,
     is_coasting,
     slowing_rad_s2,
     with_coasting,
 )
-from servo_bench.diagnosis.evidence import Evidence, evidence_of
-from servo_bench.diagnosis.finding import find_causes
-from servo_bench.diagnosis.gate import misfit
-from servo_bench.diagnosis.seeking import Found, seek
-from servo_bench.diagnosis.unknowns import nuisances
+from servo_bench.diagnosis.searching.finding import find_causes
+from servo_bench.diagnosis.searching.gate import misfit
+from servo_bench.diagnosis.searching.seeking import Found, seek
+from servo_bench.diagnosis.searching.unknowns import nuisances
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, recorded
 

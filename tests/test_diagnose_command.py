@@ -11,10 +11,10 @@ import pytest
 from typer.testing import CliRunner
 
 from servo_bench.cli import app as cli
-from servo_bench.diagnosis.extended import extended_rig, rig_text
-from servo_bench.diagnosis.model_file import load_model, model_text
-from servo_bench.diagnosis.undecided import check_alike, open_questions, undecided
-from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.diagnosis.fitting.model_file import load_model, model_text
+from servo_bench.diagnosis.judging.extended import extended_rig, rig_text
+from servo_bench.diagnosis.judging.undecided import check_alike, open_questions, undecided
+from servo_bench.diagnosis.judging.verdict import Verdict
 from servo_bench.errors import ConfigError, FitError
 from servo_bench.recording.mcap_file import load
 from servo_bench.recording.recording import Recording

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from servo_bench.diagnosis.crossing import crossing_s
-from servo_bench.diagnosis.evidence import evidence_of
-from servo_bench.diagnosis.finding import find_causes
-from servo_bench.diagnosis.judgement import verdict_of
+from servo_bench.diagnosis.comparing.evidence import evidence_of
+from servo_bench.diagnosis.judging.judgement import verdict_of
+from servo_bench.diagnosis.reading.crossing import crossing_s
+from servo_bench.diagnosis.searching.finding import find_causes
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, recorded, with_channels

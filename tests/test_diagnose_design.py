@@ -10,7 +10,7 @@ from servo_bench.cli import app as cli
 from servo_bench.cli.design import ambiguous_pairs, experiment_text
 from servo_bench.diagnosis.candidates import MARGIN, ROOM, Plan, candidates
 from servo_bench.diagnosis.design import Pair, Separation, ranked, separation
-from servo_bench.diagnosis.verdict import Cause, Verdict
+from servo_bench.diagnosis.judging.verdict import Cause, Verdict
 from servo_bench.errors import ConfigError
 from servo_bench.excitation.experiment import load_experiment
 from servo_bench.excitation.prediction import predict

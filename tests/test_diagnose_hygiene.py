@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from servo_bench.diagnosis.comparison import Comparison, compare
-from servo_bench.diagnosis.evidence import SCALES, block_z
-from servo_bench.diagnosis.hygiene import heard, lattice, lost_commands, wild_samples
-from servo_bench.diagnosis.orders import motor_lines, torque_waves
+from servo_bench.diagnosis.comparing.comparison import Comparison, compare
+from servo_bench.diagnosis.comparing.evidence import SCALES, block_z
+from servo_bench.diagnosis.reading.hygiene import heard, lattice, lost_commands, wild_samples
+from servo_bench.diagnosis.reading.orders import motor_lines, torque_waves
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, nominal_with, recorded, with_channels
 

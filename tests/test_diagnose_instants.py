@@ -6,11 +6,11 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from servo_bench.diagnosis.allowance import SCALES
-from servo_bench.diagnosis.comparison import compare
-from servo_bench.diagnosis.evidence import evidence_of
-from servo_bench.diagnosis.gate import misfit
-from servo_bench.diagnosis.rows import Array, rows_of
+from servo_bench.diagnosis.comparing.allowance import SCALES
+from servo_bench.diagnosis.comparing.comparison import compare
+from servo_bench.diagnosis.comparing.evidence import evidence_of
+from servo_bench.diagnosis.comparing.rows import Array, rows_of
+from servo_bench.diagnosis.searching.gate import misfit
 from servo_bench.recording.recording import MISSING, Recording
 from servo_bench.rig import load_rig
 from sim_rig.model import Model

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from servo_bench.diagnosis.coasting import coasting, is_coasting
-from servo_bench.diagnosis.evidence import evidence_of
-from servo_bench.diagnosis.finding import find_causes, nothing_told
-from servo_bench.diagnosis.hypotheses import hypotheses, scales_of
-from servo_bench.diagnosis.joint import Named
-from servo_bench.diagnosis.late import Late, asked_again
-from servo_bench.diagnosis.seeking import seek
-from servo_bench.diagnosis.unknowns import nuisances
+from servo_bench.diagnosis.comparing.evidence import evidence_of
+from servo_bench.diagnosis.searching.coasting import coasting, is_coasting
+from servo_bench.diagnosis.searching.finding import find_causes, nothing_told
+from servo_bench.diagnosis.searching.hypotheses import hypotheses, scales_of
+from servo_bench.diagnosis.searching.joint import Named
+from servo_bench.diagnosis.searching.late import Late, asked_again
+from servo_bench.diagnosis.searching.seeking import seek
+from servo_bench.diagnosis.searching.unknowns import nuisances
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, PERIOD_S, recorded
 

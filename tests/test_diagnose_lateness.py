@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from servo_bench.diagnosis.comparison import compare
-from servo_bench.diagnosis.lateness import TICK_S, lateness_rms, lateness_s
-from servo_bench.diagnosis.rows import Array
+from servo_bench.diagnosis.comparing.comparison import compare
+from servo_bench.diagnosis.comparing.lateness import TICK_S, lateness_rms, lateness_s
+from servo_bench.diagnosis.comparing.rows import Array
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, commands, recorded

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from servo_bench.diagnosis.coasting import coasting
-from servo_bench.diagnosis.comparison import Comparison, compare
-from servo_bench.diagnosis.evidence import SCALES
-from servo_bench.diagnosis.orders import load_lines, tone
+from servo_bench.diagnosis.comparing.comparison import Comparison, compare
+from servo_bench.diagnosis.comparing.evidence import SCALES
+from servo_bench.diagnosis.reading.orders import load_lines, tone
+from servo_bench.diagnosis.searching.coasting import coasting
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, recorded, with_channels
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from servo_bench.diagnosis.bounces import MOST, bounces
-from servo_bench.diagnosis.coasting import coasting
-from servo_bench.diagnosis.evidence import evidence_of
-from servo_bench.diagnosis.finding import Finding, find_causes
-from servo_bench.diagnosis.unknowns import Unknown, put_all
+from servo_bench.diagnosis.comparing.evidence import evidence_of
+from servo_bench.diagnosis.searching.bounces import MOST, bounces
+from servo_bench.diagnosis.searching.coasting import coasting
+from servo_bench.diagnosis.searching.finding import Finding, find_causes
+from servo_bench.diagnosis.searching.unknowns import Unknown, put_all
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, recorded
 

@@ -4,7 +4,7 @@ nothing is."""
 import numpy as np
 import pytest
 
-from servo_bench.diagnosis.locking import (
+from servo_bench.diagnosis.judging.locking import (
     AFTER_ROWS,
     ORDERS,
     after_edges,

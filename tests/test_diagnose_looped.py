@@ -12,7 +12,7 @@ import pytest
 
 from servo_bench.diagnosis.concluding import conclude
 from servo_bench.diagnosis.elsewhere import is_open
-from servo_bench.diagnosis.foreign_channels import with_voltage
+from servo_bench.diagnosis.fitting.foreign_channels import with_voltage
 from servo_bench.errors import ConfigError
 from servo_bench.recording.plant import ForeignPlant, PositionLoop
 from servo_bench.recording.recording import Recording

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from servo_bench.diagnosis.comparison import compare
-from servo_bench.diagnosis.evidence import quick_evidence
-from servo_bench.diagnosis.finding import find_causes
-from servo_bench.diagnosis.noise import floor_of
-from servo_bench.diagnosis.rows import rows_of
+from servo_bench.diagnosis.comparing.comparison import compare
+from servo_bench.diagnosis.comparing.evidence import quick_evidence
+from servo_bench.diagnosis.comparing.noise import floor_of
+from servo_bench.diagnosis.comparing.rows import rows_of
+from servo_bench.diagnosis.searching.finding import find_causes
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 from tests.fit_recordings import (

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from servo_bench.diagnosis.concluding import conclude
 from servo_bench.diagnosis.elsewhere import diagnose_open, is_open
-from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.diagnosis.judging.verdict import Verdict
 from servo_bench.errors import ConfigError, FitError
 from servo_bench.recording.plant import ForeignPlant
 from servo_bench.recording.recording import Recording

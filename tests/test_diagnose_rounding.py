@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from servo_bench.diagnosis.comparing.evidence import evidence_of
+from servo_bench.diagnosis.comparing.rounding import rounding_of
 from servo_bench.diagnosis.concluding import conclude
-from servo_bench.diagnosis.evidence import evidence_of
-from servo_bench.diagnosis.rounding import rounding_of
 from servo_bench.report.diagnosis_page import diagnosis_report
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, nominal_with, recorded, with_channels

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from servo_bench.diagnosis import rounds
-from servo_bench.diagnosis.bounces import on_other_faces
-from servo_bench.diagnosis.coasting import coasting
-from servo_bench.diagnosis.evidence import Evidence, evidence_of
-from servo_bench.diagnosis.finding import accepted_of, find_causes, nothing_told
-from servo_bench.diagnosis.hypotheses import Hypothesis, Trial, hypotheses, scales_of
-from servo_bench.diagnosis.joint import Named, fit_jointly, is_worth_it, own_unknowns
-from servo_bench.diagnosis.late import hidden_by_coasting, unsure
-from servo_bench.diagnosis.rounds import Contender, Round, faced, merged
-from servo_bench.diagnosis.runoff import run_off
-from servo_bench.diagnosis.seeking import Found, seek
-from servo_bench.diagnosis.unknowns import Unknown, nuisances, widened
+from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
+from servo_bench.diagnosis.searching import rounds
+from servo_bench.diagnosis.searching.bounces import on_other_faces
+from servo_bench.diagnosis.searching.coasting import coasting
+from servo_bench.diagnosis.searching.finding import accepted_of, find_causes, nothing_told
+from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Trial, hypotheses, scales_of
+from servo_bench.diagnosis.searching.joint import Named, fit_jointly, is_worth_it, own_unknowns
+from servo_bench.diagnosis.searching.late import hidden_by_coasting, unsure
+from servo_bench.diagnosis.searching.rounds import Contender, Round, faced, merged
+from servo_bench.diagnosis.searching.runoff import run_off
+from servo_bench.diagnosis.searching.seeking import Found, seek
+from servo_bench.diagnosis.searching.unknowns import Unknown, nuisances, widened
 from servo_bench.report.diagnosis_figures import draw_evidence
 from sim_rig.errors import EffectError
 from sim_rig.model import Model

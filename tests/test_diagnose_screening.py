@@ -3,16 +3,22 @@
 import numpy as np
 import pytest
 
-from servo_bench.diagnosis.approaching import KEPT, approached
-from servo_bench.diagnosis.evidence import Evidence, evidence_of
-from servo_bench.diagnosis.finding import find_causes
-from servo_bench.diagnosis.gap import play_gap
-from servo_bench.diagnosis.gate import RIGHT, material_sizes
-from servo_bench.diagnosis.hypotheses import Hypothesis, Scales, Trial, hypotheses, scales_of
-from servo_bench.diagnosis.rounds import play_round
-from servo_bench.diagnosis.screening import Screened, screen, towards
-from servo_bench.diagnosis.seeking import Found, seek
-from servo_bench.diagnosis.unknowns import nuisances
+from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
+from servo_bench.diagnosis.searching.approaching import KEPT, approached
+from servo_bench.diagnosis.searching.finding import find_causes
+from servo_bench.diagnosis.searching.gap import play_gap
+from servo_bench.diagnosis.searching.gate import RIGHT, material_sizes
+from servo_bench.diagnosis.searching.hypotheses import (
+    Hypothesis,
+    Scales,
+    Trial,
+    hypotheses,
+    scales_of,
+)
+from servo_bench.diagnosis.searching.rounds import play_round
+from servo_bench.diagnosis.searching.screening import Screened, screen, towards
+from servo_bench.diagnosis.searching.seeking import Found, seek
+from servo_bench.diagnosis.searching.unknowns import nuisances
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, PERIOD_S, recorded
 
@@ -130,7 +136,7 @@ def test_what_promised_less_has_its_turn_where_nothing_held_what_it_promised(
 ) -> None:
     """A rig that rubs, and a gate that lets nothing pass."""
     for gate in ("finding.passes", "late.passes", "late.promises"):
-        monkeypatch.setattr(f"servo_bench.diagnosis.{gate}", lambda *_, **__: False)
+        monkeypatch.setattr(f"servo_bench.diagnosis.searching.{gate}", lambda *_, **__: False)
     hidden = MODEL.with_effect("coulomb", torque_nm=0.03)
     run = recorded(hidden, 34, slots=SLOTS)
     finding = find_causes([run], MODEL, only=("coulomb", "viscous", "stribeck", "load_friction"))

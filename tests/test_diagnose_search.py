@@ -5,21 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from servo_bench.diagnosis import judgement
-from servo_bench.diagnosis.evidence import ASKED, Errors, Evidence, evidence_of
-from servo_bench.diagnosis.finding import find_causes, nothing_told
-from servo_bench.diagnosis.gate import (
+from servo_bench.diagnosis.comparing.evidence import ASKED, Errors, Evidence, evidence_of
+from servo_bench.diagnosis.judging import judgement
+from servo_bench.diagnosis.judging.judgement import quantities, standard_errors, verdict_of
+from servo_bench.diagnosis.searching.finding import find_causes, nothing_told
+from servo_bench.diagnosis.searching.gate import (
     is_material,
     is_noted,
     material_sizes,
     passes,
     passes_slowly,
 )
-from servo_bench.diagnosis.hypotheses import Scales, Trial, hypotheses
-from servo_bench.diagnosis.judgement import quantities, standard_errors, verdict_of
-from servo_bench.diagnosis.rounds import Contender, gone_on, merged, play_round
-from servo_bench.diagnosis.seeking import Found, roam, seek, settle
-from servo_bench.diagnosis.unknowns import Unknown, nuisances, widened
+from servo_bench.diagnosis.searching.hypotheses import Scales, Trial, hypotheses
+from servo_bench.diagnosis.searching.rounds import Contender, gone_on, merged, play_round
+from servo_bench.diagnosis.searching.seeking import Found, roam, seek, settle
+from servo_bench.diagnosis.searching.unknowns import Unknown, nuisances, widened
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, nominal_with, recorded, with_channels
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from servo_bench.diagnosis.allowance import SCALES
-from servo_bench.diagnosis.comparison import compare
-from servo_bench.diagnosis.low_pass import low_passed
-from servo_bench.diagnosis.rows import Array
-from servo_bench.diagnosis.sensors import misread
+from servo_bench.diagnosis.comparing.allowance import SCALES
+from servo_bench.diagnosis.comparing.comparison import compare
+from servo_bench.diagnosis.comparing.low_pass import low_passed
+from servo_bench.diagnosis.comparing.rows import Array
+from servo_bench.diagnosis.judging.sensors import misread
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, PERIOD_S, recorded

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from servo_bench.diagnosis.evidence import evidence_of
-from servo_bench.diagnosis.finding import find_causes
-from servo_bench.diagnosis.judgement import verdict_of
-from servo_bench.diagnosis.seeking import Found, seek
-from servo_bench.diagnosis.steadiness import slope_of
-from servo_bench.diagnosis.unknowns import merged, nuisances, widened
+from servo_bench.diagnosis.comparing.evidence import evidence_of
+from servo_bench.diagnosis.judging.judgement import verdict_of
+from servo_bench.diagnosis.judging.steadiness import slope_of
+from servo_bench.diagnosis.searching.finding import find_causes
+from servo_bench.diagnosis.searching.seeking import Found, seek
+from servo_bench.diagnosis.searching.unknowns import merged, nuisances, widened
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, PERIOD_S, recorded
 

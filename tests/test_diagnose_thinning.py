@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from servo_bench.diagnosis.evidence import beginning, evidence_of
-from servo_bench.diagnosis.finding import find_causes
-from servo_bench.diagnosis.thinning import rows_to_a_command, thinned
+from servo_bench.diagnosis.comparing.evidence import beginning, evidence_of
+from servo_bench.diagnosis.comparing.thinning import rows_to_a_command, thinned
+from servo_bench.diagnosis.searching.finding import find_causes
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, commands, recorded

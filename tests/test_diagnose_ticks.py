@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from servo_bench.diagnosis.evidence import Evidence, evidence_of
-from servo_bench.diagnosis.ticks import COARSE_S, ticks
+from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
+from servo_bench.diagnosis.comparing.ticks import COARSE_S, ticks
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, PERIOD_S, STANDSTILL, commands, recorded
 

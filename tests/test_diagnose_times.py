@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from servo_bench.diagnosis.comparing.thinning import rows_to_a_command, thinned
 from servo_bench.diagnosis.diagnose import diagnose
-from servo_bench.diagnosis.thinning import rows_to_a_command, thinned
-from servo_bench.diagnosis.times import filled, jitter_s, on_even_times, with_rows_in_holes
+from servo_bench.diagnosis.reading.times import filled, jitter_s, on_even_times, with_rows_in_holes
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, PERIOD_S, commands, recorded

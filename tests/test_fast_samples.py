@@ -9,7 +9,7 @@ import pytest
 
 from drivers.canopen.budget import bus_budget, check_bus_load
 from drivers.errors import SettingsError
-from servo_bench.diagnosis.rows import rows_of
+from servo_bench.diagnosis.comparing.rows import rows_of
 from servo_bench.errors import BenchError, ConfigError, RecordingError, WireError, gathered
 from servo_bench.excitation.experiment import Experiment, MSequence, RandomBinary
 from servo_bench.foreign.exporting import export

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from servo_bench.cli import app as cli
-from servo_bench.diagnosis.comparison import Choice
-from servo_bench.diagnosis.fit import Fit, fit
-from servo_bench.diagnosis.foreign_start import starting_model
+from servo_bench.diagnosis.comparing.comparison import Choice
+from servo_bench.diagnosis.fitting.fit import Fit, fit
+from servo_bench.diagnosis.fitting.foreign_start import starting_model
 from servo_bench.errors import ConfigError, FitError
 from servo_bench.recording.measured_writer import save_measured
 from servo_bench.recording.plant import ForeignPlant, Pendulum, PositionLoop

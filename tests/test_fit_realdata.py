@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.signal import savgol_filter
 
-from servo_bench.diagnosis.fit import Fit, fit
+from servo_bench.diagnosis.fitting.fit import Fit, fit
 from servo_bench.foreign.importing import read_foreign
 from servo_bench.foreign.maps import load_map
 from servo_bench.recording.recording import Recording

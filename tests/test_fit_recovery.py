@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 
-from servo_bench.diagnosis.fit import Fit, fit
+from servo_bench.diagnosis.fitting.fit import Fit, fit
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model, mechanics
 from tests import fit_recordings as made

@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import pytest
 
-from servo_bench.diagnosis.comparison import compare
-from servo_bench.diagnosis.fit import fit
+from servo_bench.diagnosis.comparing.comparison import compare
+from servo_bench.diagnosis.fitting.fit import fit
 from servo_bench.excitation.experiment import Experiment, load_experiment
 from servo_bench.rig import load_rig
 from sim_rig.model import Model

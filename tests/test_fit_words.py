@@ -10,9 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 from servo_bench.cli import app as cli
-from servo_bench.diagnosis.fit import fit
-from servo_bench.diagnosis.free import UNITS, free_parameters, unit_of
-from servo_bench.diagnosis.model_file import load_model, model_text
+from servo_bench.diagnosis.fitting.fit import fit
+from servo_bench.diagnosis.fitting.free import UNITS, free_parameters, unit_of
+from servo_bench.diagnosis.fitting.model_file import load_model, model_text
 from servo_bench.errors import ConfigError, FitError
 from servo_bench.recording.measured_writer import save_measured
 from servo_bench.recording.recording import Recording

@@ -8,7 +8,7 @@ before any seed was played. The bound on the null gain was not: at first it was 
 
 import pytest
 
-from servo_bench.diagnosis.fit import Fit, fit
+from servo_bench.diagnosis.fitting.fit import Fit, fit
 from servo_bench.excitation.experiment import load_experiment
 from servo_bench.rig import load_rig
 from sim_rig.model import Model

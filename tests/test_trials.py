@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from servo_bench.diagnosis.extended import rig_text
+from servo_bench.diagnosis.judging.extended import rig_text
 from servo_bench.errors import ConfigError
 from servo_bench.excitation.experiment import Experiment, Phase
 from servo_bench.recording.mcap_file import load

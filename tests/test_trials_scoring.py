@@ -6,7 +6,7 @@ from typing import Any, get_args
 
 import pytest
 
-from servo_bench.diagnosis.verdict import Cause, ErrorFigures, Quantity, Verdict
+from servo_bench.diagnosis.judging.verdict import Cause, ErrorFigures, Quantity, Verdict
 from sim_rig.effects import catalogue
 from tests.trials.drawing import Kind, Question
 from tests.trials.figures import calibration, figures, share

@@ -7,7 +7,7 @@ from typing import Any
 
 from servo_bench.check.plan import Bounds, Plan, known_figure
 from servo_bench.check.verdict import verdict_of, words_of
-from servo_bench.diagnosis.fit import fit
+from servo_bench.diagnosis.fitting.fit import fit
 from servo_bench.errors import ConfigError
 from servo_bench.kernels.analysis import Analysis, analyse
 from servo_bench.recording.recording import Recording

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from servo_bench.diagnosis.diagnose import diagnose
-from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.diagnosis.judging.verdict import Verdict
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 

@@ -13,11 +13,11 @@ from rich.table import Table
 
 from servo_bench.cli.output import refuse_existing, write_text
 from servo_bench.diagnosis.candidates import candidates
-from servo_bench.diagnosis.classes import splitting
 from servo_bench.diagnosis.design import Separation, ranked, separation
-from servo_bench.diagnosis.extended import toml_lines
-from servo_bench.diagnosis.undecided import check_effects
-from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.diagnosis.judging.extended import toml_lines
+from servo_bench.diagnosis.judging.undecided import check_effects
+from servo_bench.diagnosis.judging.verdict import Verdict
+from servo_bench.diagnosis.searching.classes import splitting
 from servo_bench.errors import ConfigError
 from servo_bench.excitation.experiment import Experiment
 from servo_bench.rig import load_rig

@@ -14,10 +14,10 @@ from rich.table import Table
 
 from servo_bench.cli.output import refuse_existing, write_json, write_text
 from servo_bench.diagnosis.concluding import conclude
-from servo_bench.diagnosis.extended import extended_rig, found_model, rig_text
-from servo_bench.diagnosis.model_file import load_model, model_text
-from servo_bench.diagnosis.undecided import check_effects
-from servo_bench.diagnosis.verdict import Cause, Verdict
+from servo_bench.diagnosis.fitting.model_file import load_model, model_text
+from servo_bench.diagnosis.judging.extended import extended_rig, found_model, rig_text
+from servo_bench.diagnosis.judging.undecided import check_effects
+from servo_bench.diagnosis.judging.verdict import Cause, Verdict
 from servo_bench.errors import ConfigError
 from servo_bench.recording.mcap_file import load
 from servo_bench.report.diagnosis_page import diagnosis_report

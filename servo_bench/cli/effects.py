@@ -10,8 +10,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from servo_bench.cli.output import refuse_existing, write_bytes, write_text
-from servo_bench.diagnosis.domains import Domains, domains
-from servo_bench.diagnosis.signature import CHANNELS, Rival, rivals, signatures
+from servo_bench.diagnosis.judging.domains import Domains, domains
+from servo_bench.diagnosis.judging.signature import CHANNELS, Rival, rivals, signatures
 from servo_bench.errors import ConfigError
 from servo_bench.report.effect_words import (
     docstring,

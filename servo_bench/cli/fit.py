@@ -13,12 +13,12 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from servo_bench.cli.output import refuse_existing, write_json, write_text
-from servo_bench.diagnosis.comparison import Choice
-from servo_bench.diagnosis.fit import Fit
-from servo_bench.diagnosis.fit import fit as fit_recording
-from servo_bench.diagnosis.foreign_start import starting_model
-from servo_bench.diagnosis.model_file import load_model, model_text
-from servo_bench.diagnosis.solver import Progress as Where
+from servo_bench.diagnosis.comparing.comparison import Choice
+from servo_bench.diagnosis.fitting.fit import Fit
+from servo_bench.diagnosis.fitting.fit import fit as fit_recording
+from servo_bench.diagnosis.fitting.foreign_start import starting_model
+from servo_bench.diagnosis.fitting.model_file import load_model, model_text
+from servo_bench.diagnosis.fitting.solver import Progress as Where
 from servo_bench.errors import ConfigError, FitError
 from servo_bench.recording.mcap_file import load
 from servo_bench.recording.recording import Recording

@@ -20,7 +20,7 @@ from drivers.modbus.profile import DriveProfile as RegisterMap
 from servo_bench.check.plan import Plan
 from servo_bench.cli.reference_commands import cell
 from servo_bench.daemon.config import BenchConfig
-from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.diagnosis.judging.verdict import Verdict
 from servo_bench.excitation.experiment import Experiment
 from servo_bench.rig import RigConfig
 

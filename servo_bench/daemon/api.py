@@ -19,7 +19,7 @@ from servo_bench.daemon.problems import MEDIA_TYPE, ApiError
 from servo_bench.daemon.reference import reference
 from servo_bench.daemon.requests import chosen_experiment
 from servo_bench.daemon.viewers import Viewers
-from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.diagnosis.judging.verdict import Verdict
 from servo_bench.excitation.experiment import Experiment
 from servo_bench.recording.mcap_file import load
 

@@ -13,7 +13,7 @@ from servo_bench.catalogue import Catalogue, Run
 from servo_bench.catalogue.beside import beside, read_json
 from servo_bench.clock import NS_PER_S
 from servo_bench.daemon.problems import ApiError
-from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.diagnosis.judging.verdict import Verdict
 from servo_bench.errors import RecordingError
 from servo_bench.recording.mcap_file import load
 from servo_bench.recording.recording import MISSING, Recording

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from servo_bench.daemon.jobs import JobState, Kind
 from servo_bench.daemon.machine import State
 from servo_bench.daemon.requests import Overrides
-from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.diagnosis.judging.verdict import Verdict
 
 Text = Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
 """One line of words."""

@@ -1,11 +1,13 @@
-"""What the rig's simulation gets wrong, and by how much.
+"""What the rig's simulation gets wrong, why, and by how much.
 
-fit          chosen numbers of a model fitted to a recording: `fit(recording, model, free) -> Fit`
-free         which numbers those may be, their bounds and usual ranges
-comparison   measured minus simulated, signal by signal, for any model
-rows, playing, noise          times and holes; whole or in windows; floors of the sensors
-starting, solver, sharpening  where a search starts, its steps, its Jacobian
-uncertainty  standard errors and correlations, and what they mean in words
-model_file   a model as a TOML file
-signature    how an effect shows, computed
+diagnose, concluding   from files to a verdict; beside it the picture, and what is not decided
+judging                named, none, or unknown; how sure; what else a verdict tells
+searching              rounds of hypotheses that compete, until nothing more is accepted
+reading                what stands in a recording itself: its clock, lost commands, lattices, lines
+fitting                chosen numbers of a model fitted to a recording
+comparing              measured minus simulated, and what a right simulation may miss
+design, candidates     the next run
+elsewhere              recordings of other benches, whose model is not known
+
+Each imports what stands below it, never what stands above.
 """

@@ -9,15 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from servo_bench.diagnosis.comparing.rows import filtered
 from servo_bench.diagnosis.diagnose import believed, investigate
 from servo_bench.diagnosis.elsewhere import diagnose_open, is_open
-from servo_bench.diagnosis.finding import Finding, nothing_told
-from servo_bench.diagnosis.judgement import verdict_of
-from servo_bench.diagnosis.picture import picture
-from servo_bench.diagnosis.rounds import Told
-from servo_bench.diagnosis.rows import filtered
-from servo_bench.diagnosis.undecided import check_alike, open_questions, undecided
-from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.diagnosis.judging.judgement import verdict_of
+from servo_bench.diagnosis.judging.picture import picture
+from servo_bench.diagnosis.judging.undecided import check_alike, open_questions, undecided
+from servo_bench.diagnosis.judging.verdict import Verdict
+from servo_bench.diagnosis.searching.finding import Finding, nothing_told
+from servo_bench.diagnosis.searching.rounds import Told
 from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording
 from servo_bench.rig import RigConfig

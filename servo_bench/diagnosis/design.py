@@ -22,13 +22,19 @@ from typing import NamedTuple
 import numpy as np
 
 from servo_bench.diagnosis.candidates import Plan
-from servo_bench.diagnosis.classes import class_of
-from servo_bench.diagnosis.evidence import Evidence, evidence_of
-from servo_bench.diagnosis.gate import material_sizes
-from servo_bench.diagnosis.hypotheses import Hypothesis, Scales, Trial, hypotheses, scales_of
-from servo_bench.diagnosis.rows import Array
-from servo_bench.diagnosis.screening import quarter_rad
-from servo_bench.diagnosis.unknowns import Unknown, nuisances
+from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
+from servo_bench.diagnosis.comparing.rows import Array
+from servo_bench.diagnosis.searching.classes import class_of
+from servo_bench.diagnosis.searching.gate import material_sizes
+from servo_bench.diagnosis.searching.hypotheses import (
+    Hypothesis,
+    Scales,
+    Trial,
+    hypotheses,
+    scales_of,
+)
+from servo_bench.diagnosis.searching.screening import quarter_rad
+from servo_bench.diagnosis.searching.unknowns import Unknown, nuisances
 from servo_bench.excitation.experiment import Experiment, Phase
 from servo_bench.recording.recording import Recording
 from sim_rig.effects import find_effect

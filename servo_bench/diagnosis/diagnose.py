@@ -2,12 +2,12 @@
 
 from collections.abc import Collection, Sequence
 
-from servo_bench.diagnosis.comparison import Choice
+from servo_bench.diagnosis.comparing.comparison import Choice
 from servo_bench.diagnosis.elsewhere import diagnose_open, is_open
-from servo_bench.diagnosis.finding import Finding, find_causes, nothing_told
-from servo_bench.diagnosis.judgement import verdict_of
-from servo_bench.diagnosis.rounds import Told
-from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.diagnosis.judging.judgement import verdict_of
+from servo_bench.diagnosis.judging.verdict import Verdict
+from servo_bench.diagnosis.searching.finding import Finding, find_causes, nothing_told
+from servo_bench.diagnosis.searching.rounds import Told
 from servo_bench.errors import ConfigError
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model

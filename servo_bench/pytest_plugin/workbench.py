@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from servo_bench.check.verdict import verdict_of, words_of
-from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.diagnosis.judging.verdict import Verdict
 from servo_bench.errors import ConfigError
 from servo_bench.excitation.experiment import Experiment, load_experiment
 from servo_bench.files import find

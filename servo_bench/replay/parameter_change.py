@@ -1,14 +1,14 @@
 """Have the rig's physical numbers changed? Each run is fitted alone; the values are subtracted.
 
-Standard errors come from each fit's own residuals (`servo_bench.diagnosis.uncertainty`): what the
-model cannot explain widens them, and is alike in both runs, so the difference is known rather
-better than they say.
+Standard errors come from each fit's own residuals (`servo_bench.diagnosis.fitting.uncertainty`):
+what the model cannot explain widens them, and is alike in both runs, so the difference is known
+rather better than they say.
 """
 
 import math
 from collections.abc import Sequence
 
-from servo_bench.diagnosis.fit import Fit, fit
+from servo_bench.diagnosis.fitting.fit import Fit, fit
 from servo_bench.errors import BenchError, FitError, gathered
 from servo_bench.recording.recording import Recording
 from servo_bench.replay.change import Change, two_sided

@@ -7,19 +7,19 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from servo_bench.diagnosis.comparison import Comparison, compare
-from servo_bench.diagnosis.finding import Finding
-from servo_bench.diagnosis.locking import (
+from servo_bench.diagnosis.comparing.comparison import Comparison, compare
+from servo_bench.diagnosis.comparing.rounding import floor_of
+from servo_bench.diagnosis.comparing.rows import Array, Mask
+from servo_bench.diagnosis.judging.locking import (
     LEAST_PERIODS,
     ORDERS,
     after_edges,
     binned,
     line_shares,
 )
-from servo_bench.diagnosis.picture import Track
-from servo_bench.diagnosis.rounding import floor_of
-from servo_bench.diagnosis.rounds import Contender, Round
-from servo_bench.diagnosis.rows import Array, Mask
+from servo_bench.diagnosis.judging.picture import Track
+from servo_bench.diagnosis.searching.finding import Finding
+from servo_bench.diagnosis.searching.rounds import Contender, Round
 from servo_bench.report.style import ACTUAL, BAND, MUTED, ORDER_1, ORDER_3, caption_axes
 
 STRETCH_S = 0.6

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from servo_bench.diagnosis.finding import Finding
-from servo_bench.diagnosis.picture import kernels_of
-from servo_bench.diagnosis.rows import Array
+from servo_bench.diagnosis.comparing.rows import Array
+from servo_bench.diagnosis.judging.picture import kernels_of
+from servo_bench.diagnosis.searching.finding import Finding
 from servo_bench.kernels.volterra import Kernels
 from servo_bench.recording.recording import Recording
 from servo_bench.report.style import ACTUAL, MUTED, ORDER_1, ORDER_3, caption_axes

@@ -3,10 +3,10 @@
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from servo_bench.diagnosis.finding import Finding
-from servo_bench.diagnosis.picture import track_of
-from servo_bench.diagnosis.rounds import Contender, Round
-from servo_bench.diagnosis.verdict import Cause, Verdict
+from servo_bench.diagnosis.judging.picture import track_of
+from servo_bench.diagnosis.judging.verdict import Cause, Verdict
+from servo_bench.diagnosis.searching.finding import Finding
+from servo_bench.diagnosis.searching.rounds import Contender, Round
 from servo_bench.recording.recording import Recording
 from servo_bench.report.diagnosis_figures import (
     Judged,

@@ -1,6 +1,6 @@
 """An effect's signature as a figure: when it shows, where it shows, and what looks like it.
 
-Everything in it is computed (see `servo_bench.diagnosis.signature`); nothing is drawn by hand.
+Everything in it is computed (`servo_bench.diagnosis.judging.signature`); nothing is drawn by hand.
 """
 
 from collections.abc import Sequence
@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 from numpy.typing import NDArray
 
-from servo_bench.diagnosis.domains import DOMAINS, ORDERS, Domains
-from servo_bench.diagnosis.signature import CHANNELS, PERIOD_S, Rival, Signature
+from servo_bench.diagnosis.judging.domains import DOMAINS, ORDERS, Domains
+from servo_bench.diagnosis.judging.signature import CHANNELS, PERIOD_S, Rival, Signature
 from servo_bench.report.style import ACTUAL, BAND, MUTED, ORDER_1, ORDER_3, caption_axes
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from servo_bench.diagnosis.domains import Domains
-from servo_bench.diagnosis.signature import CHANNELS, Rival, Signature
+from servo_bench.diagnosis.judging.domains import Domains
+from servo_bench.diagnosis.judging.signature import CHANNELS, Rival, Signature
 from servo_bench.report.effect_figures import draw_domains, draw_judgement, draw_window
 from servo_bench.report.effect_words import (
     docstring,

@@ -15,7 +15,7 @@ import pytest
 from playwright.sync_api import Route, expect
 
 from servo_bench.catalogue import Catalogue
-from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.diagnosis.judging.verdict import Verdict
 from tests.daemon_process import Daemon, bus_loop_of, kill, moves, runner_of, stands, write_bench
 from tests.page.conftest import Screen
 

@@ -19,7 +19,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.diagnosis.judging.verdict import Verdict
 from tests.trials.handing import Handed
 from tests.truth.hidden import HiddenTruth, Sealed
 

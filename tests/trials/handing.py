@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_bench.diagnosis.extended import rig_text
+from servo_bench.diagnosis.judging.extended import rig_text
 from servo_bench.excitation.experiment import Experiment
 from servo_bench.recording.mcap_file import RecordingWriter, load
 from servo_bench.recording.recording import MISSING, SAMPLE_DTYPE, Recording

@@ -22,7 +22,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from servo_bench.diagnosis.verdict import Cause, Verdict
+from servo_bench.diagnosis.judging.verdict import Cause, Verdict
 from tests.trials import nuisances as always
 from tests.trials.drawing import Question
 from tests.trials.names import companions, own_names, right_names

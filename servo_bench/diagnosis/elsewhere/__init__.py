@@ -10,6 +10,6 @@ mechanics, locked, verdicts, diagnose     the two kinds of data, and their verdi
 """
 
 from servo_bench.diagnosis.elsewhere.diagnose import diagnose_open
-from servo_bench.diagnosis.foreign_channels import is_open
+from servo_bench.diagnosis.fitting.foreign_channels import is_open
 
 __all__ = ["diagnose_open", "is_open"]

@@ -9,8 +9,8 @@ from servo_bench.diagnosis.elsewhere.looped import judge_looped
 from servo_bench.diagnosis.elsewhere.looped_verdict import looped_verdict
 from servo_bench.diagnosis.elsewhere.mechanics import judge_mechanics
 from servo_bench.diagnosis.elsewhere.mechanics_verdict import mechanics_verdict
-from servo_bench.diagnosis.foreign_channels import can_be_looped, kind_of
-from servo_bench.diagnosis.verdict import Verdict
+from servo_bench.diagnosis.fitting.foreign_channels import can_be_looped, kind_of
+from servo_bench.diagnosis.judging.verdict import Verdict
 from servo_bench.errors import ConfigError, FitError
 from servo_bench.recording.recording import Recording
 

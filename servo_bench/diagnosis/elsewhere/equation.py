@@ -16,7 +16,7 @@ import numpy as np
 
 from servo_bench.diagnosis.elsewhere.terms import Electric, Term, columns
 from servo_bench.diagnosis.elsewhere.weak import WeakRows
-from servo_bench.diagnosis.foreign_channels import Array, Stretch
+from servo_bench.diagnosis.fitting.foreign_channels import Array, Stretch
 
 Mask = np.ndarray[tuple[int], np.dtype[np.bool_]]
 BINS = 24

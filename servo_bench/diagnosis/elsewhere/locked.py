@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_bench.diagnosis.elsewhere import gate
-from servo_bench.diagnosis.foreign_channels import Array, torque_of
+from servo_bench.diagnosis.fitting.foreign_channels import Array, torque_of
 from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording
 

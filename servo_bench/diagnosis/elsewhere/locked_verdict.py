@@ -6,7 +6,7 @@ import numpy as np
 
 from servo_bench.diagnosis.elsewhere import gate
 from servo_bench.diagnosis.elsewhere.locked import LockedFinding
-from servo_bench.diagnosis.verdict import Cause, ErrorFigures, Quantity, Verdict
+from servo_bench.diagnosis.judging.verdict import Cause, ErrorFigures, Quantity, Verdict
 from servo_bench.recording.recording import Recording
 
 PLAY = "backlash_width"

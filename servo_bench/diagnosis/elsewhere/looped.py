@@ -21,15 +21,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from servo_bench.diagnosis.comparison import Comparison
-from servo_bench.diagnosis.driven import DrivenComparison, compare_driven, resistance_ohm
-from servo_bench.diagnosis.evidence import Evidence, block_z
-from servo_bench.diagnosis.foreign_start import starting_model
-from servo_bench.diagnosis.hypotheses import Hypothesis, Scales, hypotheses
-from servo_bench.diagnosis.joint import Named, own_unknowns, without_effect
-from servo_bench.diagnosis.rounds import Round, play_round
-from servo_bench.diagnosis.seeking import Found, seek, settle
-from servo_bench.diagnosis.unknowns import Unknown
+from servo_bench.diagnosis.comparing.comparison import Comparison
+from servo_bench.diagnosis.comparing.evidence import Evidence, block_z
+from servo_bench.diagnosis.fitting.driven import DrivenComparison, compare_driven, resistance_ohm
+from servo_bench.diagnosis.fitting.foreign_start import starting_model
+from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Scales, hypotheses
+from servo_bench.diagnosis.searching.joint import Named, own_unknowns, without_effect
+from servo_bench.diagnosis.searching.rounds import Round, play_round
+from servo_bench.diagnosis.searching.seeking import Found, seek, settle
+from servo_bench.diagnosis.searching.unknowns import Unknown
 from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model

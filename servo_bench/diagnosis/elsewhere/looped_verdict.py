@@ -6,8 +6,8 @@ import numpy as np
 
 from servo_bench.diagnosis.elsewhere import gate
 from servo_bench.diagnosis.elsewhere.looped import LoopedFinding
-from servo_bench.diagnosis.judgement import carried_cause, cause_of, quantities
-from servo_bench.diagnosis.verdict import Cause, ErrorFigures, Verdict
+from servo_bench.diagnosis.judging.judgement import carried_cause, cause_of, quantities
+from servo_bench.diagnosis.judging.verdict import Cause, ErrorFigures, Verdict
 
 
 def looped_verdict(found: LoopedFinding) -> Verdict:

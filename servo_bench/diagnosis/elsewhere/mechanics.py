@@ -17,7 +17,7 @@ from servo_bench.diagnosis.elsewhere.equation import (
 )
 from servo_bench.diagnosis.elsewhere.selection import Selected, folds_of, select
 from servo_bench.diagnosis.elsewhere.weak import WeakRows, noise_share, weak_rows
-from servo_bench.diagnosis.foreign_channels import (
+from servo_bench.diagnosis.fitting.foreign_channels import (
     Array,
     Motion,
     effort_of,

@@ -4,13 +4,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from servo_bench.diagnosis.classes import class_of, splitting
 from servo_bench.diagnosis.elsewhere import gate
 from servo_bench.diagnosis.elsewhere.mechanics import MechanicsFinding
 from servo_bench.diagnosis.elsewhere.selection import Step
-from servo_bench.diagnosis.foreign_channels import Array
-from servo_bench.diagnosis.free import unit_of
-from servo_bench.diagnosis.verdict import Cause, ErrorFigures, Quantity, Verdict
+from servo_bench.diagnosis.fitting.foreign_channels import Array
+from servo_bench.diagnosis.fitting.free import unit_of
+from servo_bench.diagnosis.judging.verdict import Cause, ErrorFigures, Quantity, Verdict
+from servo_bench.diagnosis.searching.classes import class_of, splitting
 
 QUIET = 1.5
 """An acceleration of no more than so many of its noise floor tells of nothing but the noise."""

@@ -26,7 +26,7 @@ from servo_bench.diagnosis.elsewhere.equation import (
 from servo_bench.diagnosis.elsewhere.spectrum import lines
 from servo_bench.diagnosis.elsewhere.terms import Electric, Term, candidates, columns
 from servo_bench.diagnosis.elsewhere.weak import WeakRows
-from servo_bench.diagnosis.foreign_channels import Array
+from servo_bench.diagnosis.fitting.foreign_channels import Array
 
 HUBER = 3.0
 LARGEST_OFF = 2.0

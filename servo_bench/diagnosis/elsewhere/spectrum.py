@@ -18,7 +18,7 @@ from servo_bench.diagnosis.elsewhere.terms import (
     torque,
 )
 from servo_bench.diagnosis.elsewhere.weak import WeakRows, adjoint
-from servo_bench.diagnosis.foreign_channels import FINE, Array, Stretch
+from servo_bench.diagnosis.fitting.foreign_channels import FINE, Array, Stretch
 from sim_rig.effects import catalogue
 from sim_rig.effects.effect import Effect
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from servo_bench.diagnosis.elsewhere.weak import WeakRows
-from servo_bench.diagnosis.foreign_channels import Array, Stretch
+from servo_bench.diagnosis.fitting.foreign_channels import Array, Stretch
 from sim_rig.effects import catalogue
 from sim_rig.effects.effect import Effect, Parameter, Port, Signals
 

@@ -16,7 +16,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from servo_bench.diagnosis.elsewhere.gate import BLOCK_S
-from servo_bench.diagnosis.foreign_channels import FINE, Array, Motion, Stretch
+from servo_bench.diagnosis.fitting.foreign_channels import FINE, Array, Motion, Stretch
 
 HALF_WIDTHS = (8, 16, 32)
 """Half of a bump, in samples; the shortest that keeps the sensor's noise small is taken."""

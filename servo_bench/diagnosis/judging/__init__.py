@@ -1,0 +1,10 @@
+"""From findings to a verdict, and what is told beside it.
+
+verdict               the public schema
+judgement             named, none, or unknown; intervals, confidence, limits
+steadiness, sensors   causes that change meanwhile; channels that are not what they say
+undecided             what a recording cannot tell, and which run would
+picture, locking      the error without a model of its cause: when, where, locked to what
+signature, domains    how an effect shows, computed
+extended              the rig with what was found, as TOML
+"""

@@ -1,0 +1,170 @@
+"""When a recording cannot be diagnosed: a verdict all the same, with words on what would decide it.
+
+What stands here is about data that could be read. A rig that is missing, an effect that does not
+exist, recordings that do not go together are the operator's to mend, and raise ConfigError.
+"""
+
+from collections.abc import Collection, Iterator, Sequence
+
+import numpy as np
+
+from servo_bench.diagnosis.judging.verdict import Verdict
+from servo_bench.errors import ConfigError
+from servo_bench.recording.recording import Recording
+from sim_rig.effects import catalogue
+
+ANGLES = ("motor_position_rad", "load_angle_rad")
+EFFORTS = ("current_a", "motor_torque_nm", "motor_current_a", "torque_nm")
+COMMAND = "velocity_command_rad_s"
+ENOUGH_S = 10.0
+"""Below this, identification and validation together are short for any effect."""
+SLOW_PERIOD_S, LOGGERS = 0.004, 2.0
+SAME_SIZE = 0.02
+"""Sizes of a command that differ by less are one."""
+RECOMMENDED = (
+    "Run what `servo-bench design diagnosis --rig RIG.toml -o EXPERIMENT.toml` writes: several "
+    "velocities, full turns, a validation of its own."
+)
+
+
+def check_effects(*names: Collection[str]) -> None:
+    """ConfigError where a name is in no file of the catalogue, or where nothing is left to try."""
+    known = catalogue()
+    without, only = (*names, (), ())[:2]
+    unknown = sorted({name for group in names for name in group} - set(known))
+    if unknown:
+        raise ConfigError(
+            f"no effect is called {', '.join(unknown)}. The catalogue has {', '.join(known)}; "
+            "`servo-bench effects` explains each."
+        )
+    if only and not set(only) - set(without):
+        raise ConfigError(
+            f"--only {', '.join(only)} and --without {', '.join(without)} leave nothing to try. "
+            "Leave one of them out."
+        )
+
+
+def check_alike(
+    recordings: Sequence[Recording],
+    held_out: Recording | None = None,
+    *,
+    one_period: bool = True,
+) -> None:
+    """ConfigError where recordings of one diagnosis do not bring the same signals and period.
+
+    Data from elsewhere come as fast as their logger was: each has a clock of its own, and a period
+    that is no more than its median (`one_period=False`). Signals are compared over so many rows, so
+    one may be twice another.
+    """
+    most = 1.001 if one_period else LOGGERS
+    every = [*recordings, *([held_out] if held_out is not None else [])]
+    first = every[0]
+    for number, other in enumerate(every[1:], 2):
+        mine, theirs = _signals(first), _signals(other)
+        if mine != theirs:
+            raise ConfigError(
+                f"recording 1 has {_listed(mine)} and recording {number} has {_listed(theirs)}: "
+                "signals of one diagnosis are compared alike in all of them. Record the same "
+                "channels, or diagnose them one by one."
+            )
+        slower, faster = sorted((first.period_s, other.period_s), reverse=True)
+        if slower > most * faster:
+            raise ConfigError(
+                f"recording 1 has a period of {first.period_s:g} s and recording {number} of "
+                f"{other.period_s:g} s: give recordings of one period"
+                f"{'' if one_period else ', or nearly so'}."
+            )
+
+
+def _signals(recording: Recording) -> tuple[str, ...]:
+    """The channels that count, of which anything came."""
+    return _came(recording, COMMAND, *ANGLES, *EFFORTS)
+
+
+def _came(recording: Recording, *names: str) -> tuple[str, ...]:
+    named = [n for n in names if n in recording]
+    return tuple(n for n in named if np.isfinite(np.asarray(recording[n], np.float64)).any())
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names) or "no channel that a diagnosis can use"
+
+
+def undecided(error: Exception, recordings: Sequence[Recording]) -> Verdict:
+    """The verdict "unknown" of data that were read and cannot be judged, in the failure's words."""
+    first = recordings[0]
+    lacks = tuple(_lacking(first))
+    return Verdict(
+        verdict="unknown",
+        sentence=f"Nothing can be decided from this recording: {_sentence(error)}",
+        undecided=(*lacks, *open_questions(first)),
+        next_run=RECOMMENDED if not lacks else f"Record what is missing. {RECOMMENDED}",
+        notes=(f"The diagnosis ended before any fit: {_sentence(error)}",),
+    )
+
+
+def _sentence(error: Exception) -> str:
+    text = str(error).strip() or type(error).__name__
+    return text if text.endswith(".") else f"{text}."
+
+
+def _lacking(recording: Recording) -> Iterator[str]:
+    """What every diagnosis needs, and this recording has not."""
+    there = _signals(recording)
+    if not _came(recording, COMMAND, *EFFORTS, "voltage_v", "position_command_rad"):
+        yield (
+            "Neither a velocity command nor a current, torque or voltage was recorded: what moved "
+            "the rig is not known, so no model can be played beside it. Record "
+            "velocity_command_rad_s."
+        )
+    if not set(ANGLES) & set(there):
+        yield (
+            "Neither the motor's nor the load's angle was recorded: there is nothing to compare a "
+            "simulation with. Record load_angle_rad, and motor_position_rad where the drive has it."
+        )
+    duration_s = len(recording) * recording.period_s
+    if duration_s < ENOUGH_S:
+        yield (
+            f"{duration_s:.1f} s were recorded: of so little no part can be held out to judge. "
+            "Record 40 s or more."
+        )
+
+
+def open_questions(recording: Recording) -> Iterator[str]:
+    """What this excitation cannot decide, whatever the rig, and what would."""
+    there = _signals(recording)
+    if COMMAND in there:
+        yield from _of_the_command(np.asarray(recording[COMMAND], np.float64))
+    if recording.period_s > SLOW_PERIOD_S:
+        yield (
+            f"At a period of {recording.period_s * 1e3:g} ms delays and lags in the drive shorter "
+            "than a tenth of it look alike. Command and log at 1 kHz where the drive allows it."
+        )
+
+
+def _of_the_command(command: np.ndarray) -> Iterator[str]:
+    known = command[np.isfinite(command)]
+    moving = np.abs(known[np.abs(known) > 0.0])
+    if not moving.size:
+        yield (
+            "The command stayed at zero: nothing that needs motion can be decided. Play any "
+            "excitation that moves the axis."
+        )
+        return
+    largest = float(moving.max())
+    centred = moving
+    levels = np.unique(known[known != 0.0])
+    if levels.size == 2:
+        centre, half = levels.mean(), np.ptp(levels) / 2.0
+        centred = np.array([half if half > abs(centre) else largest])
+    sizes = np.unique(np.round(centred / (SAME_SIZE * largest)))
+    if sizes.size == 1:
+        yield (
+            "The command has a single size: a deadband looks like a scale, and Coulomb like "
+            "viscous friction. Play five levels, or a second amplitude."
+        )
+    if not np.any((known[1:] == known[:-1]) & (known[1:] != 0.0)):
+        yield (
+            "No command lasted for two periods: what happens long after a change was not seen. "
+            "Hold some commands longer."
+        )

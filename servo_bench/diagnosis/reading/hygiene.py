@@ -1,0 +1,231 @@
+"""What is wrong with a recording before any model is blamed: lost commands, coarse angles, holes.
+
+A command that the drive never got (the one before was held) leaves the response to one chip,
+
+    e(t) = -(c_k - c_{k-1}) h(t - t_k),      h: response of the angle's increments to a chip of one,
+
+and is found chip by chip with a matched filter on the base's error: whole chips, and few others. A
+coarse angle lies on a lattice of its quantum, whatever moves. Both are exact statements about data;
+neither is a fit.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
+
+from servo_bench.diagnosis.comparing.comparison import Comparison, Signal
+from servo_bench.diagnosis.comparing.rounding import ROUNDED, rounding_of
+from servo_bench.diagnosis.comparing.rows import Array
+from servo_bench.recording.recording import Recording
+from sim_rig.model import Model
+
+RESPONSE_ROWS = 12
+SURE = 0.2
+"""How far from a whole chip the estimate of a lost one may be."""
+WILD = 12.0
+"""Robust deviations, beyond one and a half gaps, of samples that are wrong alone."""
+BURST_S = 0.032
+"""How long they are: interference spoils a few words in a row."""
+LEFT = 0.1
+"""Of the error's energy over the response, after the lost chip is taken out."""
+CLEAR = 8.0
+"""A lost chip's response over its own scatter."""
+MOST = 0.5
+"""Of the chips that stand in the error, the share that is whole ones where commands were lost. What
+limits or delays a reversal leaves chips of every size, and some are whole by chance."""
+FINEST_QUANTUM_RAD, COARSEST_QUANTUM_RAD = 1.5e-4, 3e-3
+LATTICE, ABOUT_BINS = 5.0, 801
+"""Mean of exp(2 pi j y / q) over its own rms at neighbouring q, which chance, and chips of equal
+size, bring to less than 4."""
+HALF = 0.5
+"""Of a lattice's clearness: what the command's own steps may have of it; and the least, of what
+noise leaves of a true one."""
+
+
+@dataclass(frozen=True, slots=True)
+class LostCommands:
+    """Rows whose command was never heard, and how many rows commanded a change."""
+
+    rows: tuple[int, ...]
+    changes: int
+
+    @property
+    def probability(self) -> float:
+        """Per telegram."""
+        return len(self.rows) / max(self.changes, 1)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % of a Poisson count."""
+        count, spread = len(self.rows), 1.96 * np.sqrt(len(self.rows) + 1.0)
+        return max(count - spread, 0.0) / max(self.changes, 1), (count + 1 + spread) / max(
+            self.changes, 1
+        )
+
+
+def lost_commands(comparison: Comparison, model: Model) -> LostCommands:
+    """Which commands were lost, by the motor's (or load's) increments; only of the closed loop."""
+    rows, piece = comparison.source.rows, comparison.pieces[0].piece
+    commands = (
+        rows.channel("velocity_command_rad_s")[piece.rows] if comparison.block == "loop" else None
+    )
+    if commands is None or len(comparison.pieces) > 1:
+        return LostCommands((), 0)
+    quick = [k for k, s in enumerate(comparison.signals) if s.increments and s.stride == 1]
+    best = next(
+        (k for k in quick if comparison.signals[k].channel == "motor_position_rad"), quick[0]
+    )
+    error = comparison.errors(model)[best]
+    known = np.isfinite(error) & np.isfinite(comparison.measured[best])
+    error = np.where(known, error, 0.0)
+    response = _pulse(model, rows.period_s)
+    jumps = np.diff(commands, prepend=commands[0])
+    change = np.abs(jumps) > 1e-6 * max(float(np.abs(commands).max(initial=0.0)), 1e-12)
+    sigma = max(1.4826 * float(np.median(np.abs(error[known]))), comparison.signals[best].floor)
+    matched = np.correlate(np.append(error, np.zeros(response.size - 1)), response, "valid")
+    energy = float(response @ response)
+    amount = matched[: jumps.size] / energy
+    usable = np.flatnonzero(change[: amount.size])
+    share = -amount[usable] / jumps[usable]
+    clear = np.abs(jumps[usable]) * np.sqrt(energy) > CLEAR * sigma
+    lost = usable[(np.abs(share - 1.0) < SURE) & clear]
+    lost = np.array([k for k in lost if _alone(error, response, -jumps[k], int(k))], np.intp)
+    if lost.size <= MOST * _events(amount * np.sqrt(energy), CLEAR * sigma):
+        lost = lost[:0]
+    return LostCommands(tuple(int(piece.first + k) for k in lost), int(change.sum()))
+
+
+def _events(matched: Array, least: float) -> int:
+    """How often the error looks most like a chip, of whatever size, within a response's length."""
+    size = np.abs(matched)
+    return int(np.sum((size > least) & (size == maximum_filter1d(size, RESPONSE_ROWS + 1))))
+
+
+def _alone(error: Array, response: Array, chip: float, k: int) -> bool:
+    """Whether the lost chip is what is wrong there: without it little of the error is left."""
+    there = error[k : k + response.size]
+    left = there - chip * response[: there.size]
+    return float(left @ left) < LEFT * float(there @ there)
+
+
+def _pulse(model: Model, period_s: float) -> Array:
+    """Increments of the motor's angle after a chip of 1 rad/s, over the period; shape (rows,)."""
+    command = np.zeros(RESPONSE_ROWS + 1)
+    command[0] = 1.0
+    done = model.without("coulomb", "stribeck").simulate(command, period_s)
+    return np.diff(done.motor_angle_rad) / period_s
+
+
+def heard(recording: Recording, lost: LostCommands) -> Recording:
+    """The recording with the commands that the drive heard."""
+    if not lost.rows:
+        return recording
+    commands = np.array(recording["velocity_command_rad_s"], np.float64)
+    for row in lost.rows:
+        commands[row] = commands[row - 1]
+    return replace(recording, channels={**recording.channels, "velocity_command_rad_s": commands})
+
+
+def wild_samples(comparison: Comparison, model: Model, gap_rad: float) -> int:
+    """Load samples that are wrong alone, or a few in a row by the same: beyond what any state of
+    the gap allows, and back."""
+    levels = [k for k, s in enumerate(comparison.signals) if s.level]
+    if not levels or len(comparison.pieces) > 1:
+        return 0
+    error = comparison.errors(model)[levels[0]]
+    floor = comparison.signals[levels[0]].floor
+    sigma = max(1.4826 * float(np.nanmedian(np.abs(error))), floor, 1e-12)
+    longest = max(1, round(BURST_S / comparison.source.rows.period_s))
+    wild = np.zeros(error.size, np.bool_)
+    for rows in range(1, longest + 1):
+        before, after = error[: -rows - 1], error[rows + 1 :]
+        off = sliding_window_view(error[1:-1], rows) - 0.5 * (before + after)[:, None]
+        least = np.where(np.abs(np.sign(off).sum(axis=1)) == rows, np.abs(off).min(axis=1), 0.0)
+        back = np.abs(after - before) < 0.5 * least
+        for first in np.flatnonzero(back & (least > WILD * sigma + 1.5 * gap_rad)):
+            wild[first + 1 : first + 1 + rows] = True
+    return int(wild.sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Lattice:
+    """The load angle's quantum and how clear the lattice is (0 to 1)."""
+
+    quantum_rad: float
+    standard_error_rad: float
+    clearness: float
+
+
+def lattice(comparison: Comparison, model: Model) -> Lattice | None:
+    """The coarsest lattice that the load angle lies on, beyond the encoder's own counts.
+
+    Chips of equal size put the angle itself on something like one: where the simulated angle lies
+    on it too, it is the command's. Where that drifts off it, or by chance, it is less clear than
+    the sensor's noise would leave one that the encoder makes.
+    """
+    rows, piece = comparison.source.rows, comparison.pieces[0].piece
+    if not rows.has("load_angle_rad") or comparison.block != "loop":
+        return None
+    angle = rows.channel("load_angle_rad")[piece.rows]
+    shown = np.asarray(comparison.source.play(model, piece)["load_angle_rad"])
+    shown, angle = shown[np.isfinite(angle)], angle[np.isfinite(angle)]
+    travel = float(np.ptp(angle)) if angle.size else 0.0
+    if angle.size < 200 or travel < 20 * COARSEST_QUANTUM_RAD:
+        return None
+    lowest, highest = 1.0 / COARSEST_QUANTUM_RAD, 1.0 / FINEST_QUANTUM_RAD
+    own = _own_quantum(angle)
+    if own > 0.0:
+        highest = min(highest, 0.4 / own)
+    if highest <= lowest:
+        return None
+    frequencies, score = _spectrum(angle, travel, highest)
+    about = np.sqrt(uniform_filter1d(score**2, ABOUT_BINS))
+    stands_out = (frequencies >= lowest) & (frequencies <= highest) & (score > LATTICE * about)
+    if not stands_out.any():
+        return None
+    frequency = float(frequencies[stands_out][np.argmax(score[stands_out])])
+    centred = angle - angle.mean()
+    near, step = np.linspace(frequency - 0.5 / travel, frequency + 0.5 / travel, 101, retstep=True)
+    refined = np.abs(np.exp(2j * np.pi * np.outer(near, centred)).mean(axis=1))
+    frequency, clear = float(near[np.argmax(refined)]), float(refined.max())
+    of_command = abs(np.exp(2j * np.pi * frequency * shown).mean())
+    expected = _as_clear_as(1.0 / frequency, comparison.signals, rows.period_s)
+    if of_command > HALF * clear or clear < HALF * expected:
+        return None
+    return Lattice(1.0 / frequency, _spread(centred, clear, float(step)) / frequency**2, clear)
+
+
+def _as_clear_as(quantum_rad: float, signals: Sequence[Signal], period_s: float) -> float:
+    """What the sensor's noise s leaves of a lattice: exp(-(2 pi s/q)^2 / 2), s from its floor."""
+    shown = next(s for s in signals if s.channel == ROUNDED)
+    one_quantum = np.sqrt(12.0) * rounding_of(shown, quantum_rad, period_s)
+    return float(np.exp(-0.5 * (2.0 * np.pi * shown.floor / one_quantum) ** 2))
+
+
+def _spread(centred: Array, clear: float, step: float) -> float:
+    """Standard deviation of a lattice's frequency, 1/rad, sought on a grid of such steps.
+
+    Phases 2 pi f y scatter by (1 - c^2)/(2 c^2) about a line of slope 2 pi df over the angles y.
+    """
+    phase_rad = np.sqrt(max(1.0 - clear**2, 1e-6) / 2.0) / clear
+    slope = phase_rad / (2.0 * np.pi * np.sqrt(float(centred @ centred)))
+    return float(np.hypot(slope, step / np.sqrt(12.0)))
+
+
+def _spectrum(angle: Array, travel: float, highest: float) -> tuple[Array, Array]:
+    """|mean exp(2 pi j f y)| over f, 1/rad, from a fine histogram of the angle."""
+    width = 0.2 / highest
+    bins = int(np.ceil(1.05 * travel / width)) + 1
+    place = ((angle - angle.min()) / width).astype(np.int64)
+    counted = np.bincount(place, minlength=bins).astype(np.float64)
+    spectrum = np.abs(np.fft.rfft(counted)) / angle.size
+    return np.asarray(np.fft.rfftfreq(counted.size, width), np.float64), spectrum
+
+
+def _own_quantum(angle: Array) -> float:
+    steps = np.diff(np.unique(angle))
+    steps = steps[steps > 1e-9 * np.ptp(angle)]
+    return float(np.median(steps[steps < 3.0 * steps.min()])) if steps.size else 0.0

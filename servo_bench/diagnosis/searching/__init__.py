@@ -1,0 +1,11 @@
+"""From recordings to causes: `find_causes(recordings, model) -> Finding`.
+
+unknowns, stepping, seeking     open numbers with their bands, and searches among them
+hypotheses, screening           what can be tried on this rig, and how much of it promises what
+approaching, rounds             where a steep search starts; one round of fits that compete
+classes, gate                   what nobody can tell apart; when a cause is beyond chance and large
+                                enough for a name
+readying, finding               what is known before the first round; all stages in order
+joint, runoff, late, gap        all causes together, and what only all of a recording tells
+coasting, bounces               a light load that goes on in its gap, and its faces
+"""

@@ -1,0 +1,166 @@
+"""A load that goes on in its gap when the motor turns back: what no drawing tells of a light one.
+
+The rigid play lets the load stand until a face comes. A real one coasts, slowed by its own
+friction, w^2/(2 a) far at speed w, with a = friction/inertia: most of a gap at 5 rad/s. It reaches
+the motor by next to nothing, so friction and inertia themselves are not told apart; a cause of
+these names is one that the motor feels, and found before this is asked.
+"""
+
+from itertools import product
+
+import numpy as np
+
+from servo_bench.diagnosis.comparing.evidence import Evidence
+from servo_bench.diagnosis.searching.gate import misfit
+from servo_bench.diagnosis.searching.hypotheses import yielding
+from servo_bench.diagnosis.searching.seeking import Found, seek
+from servo_bench.diagnosis.searching.unknowns import Unknown, widened
+from sim_rig.effects import backlash_width
+from sim_rig.errors import EffectError
+from sim_rig.model import Model
+
+WRONG, ASKED, RIGHT, BEHIND = 0.5, 0.15, 1.0, 2.0
+"""Misfit of the twist from which on coasting is told, and while a cause may yet be found beside it
+asked; of the rest up to which; and of the load's own angle, which is the twist's where the motor is
+right."""
+LIGHT = 0.001
+"""Of the inertia: a load of which the motor feels next to nothing."""
+SLOWED_RAD_S2 = (100.0, 170.0, 280.0, 460.0, 760.0, 1250.0, 2100.0, 3500.0)
+FACE_RAD_PER_NM, FACES_S = 1.5e-2, (1e-4, 3e-5, 1.2e-5)
+"""A stiff face, and its damping: from one that takes most of a blow to one that gives most of it
+back. Between them no search of a few steps finds its way."""
+GAP = "backlash_width"
+GAPS, FACED = (-0.15, -0.05, 0.0, 0.05, 0.15), 3
+"""Of the gap, that it is tried wrong by, with so many of the loads: how far one goes on shows only
+in the right gap."""
+WORTH_IT = 0.1
+"""Least share of the cost that coasting takes, or it is not what is wrong."""
+OTHERWISE = frozenset({"contact", "load_friction", "load_torque", "gravity_imbalance"})
+"""Effects that give the load a motion of its own already."""
+
+
+def with_coasting(whole: Evidence, final: Found, *, to_ask: bool = True) -> Found:
+    """The same search with a coasting load beside, where all but the twist is right; or as it was.
+
+    Coasting is judged in the gap that fits it best. That gap is not kept where it is more than
+    what every rig has: it is a cause, to be found beside a load that coasts. Until that is asked
+    the load may coast and fit worse; where it is not to be asked any more, it may not.
+    """
+    least = ASKED if to_ask else WRONG
+    if not _only_the_twist(whole, final, least) or OTHERWISE & set(final.model.effects):
+        return final
+    start = _start(whole, final)
+    if start is None:
+        return final
+    own = _own(start)
+    alone = seek(whole, start, (*own, *_gap(start)), final.sigma, iterations=4, first=1)
+    rested = whole.seen([final.model])[0].cost(final.sigma)
+    if alone.errors.cost(final.sigma) > (1.0 - WORTH_IT) * rested:
+        return final
+    unknowns = (*final.unknowns, *own)
+    found = seek(whole, alone.model, unknowns, final.sigma, iterations=2, first=2)
+    return found if to_ask or found.errors.cost(final.sigma) < rested else final
+
+
+def _start(whole: Evidence, final: Found) -> Model | None:
+    """The best of some loads on some faces, in some gaps; None where one cannot be simulated."""
+    try:
+        models = [coasting(final.model, a, c) for a, c in product(SLOWED_RAD_S2, FACES_S)]
+    except EffectError:
+        return None
+    costs = np.array([errors.cost(final.sigma) for errors in whole.seen(models)])
+    best: list[Model] = [models[k] for k in np.argsort(costs)[:FACED]]
+    if final.model.nominal.backlash_gap_rad <= 0.0:
+        return best[0]
+    models = [_in_gap(model, share) for model, share in product(best, GAPS)]
+    costs = np.array([errors.cost(final.sigma) for errors in whole.seen(models)])
+    return models[int(np.argmin(costs))]
+
+
+def _gap(model: Model) -> tuple[Unknown, ...]:
+    """The gap, as free as a cause's."""
+    gap_rad = model.nominal.backlash_gap_rad
+    return widened(GAP, ("change_rad",), model, 0.1 * gap_rad) if gap_rad > 0.0 else ()
+
+
+def _in_gap(model: Model, share: float) -> Model:
+    """The model in a gap that is wrong by so much more of the nominal one."""
+    now = model.effects.get(GAP, backlash_width.Params())
+    more = share * model.nominal.backlash_gap_rad
+    return model.with_effect(GAP, change_rad=float(now.change_rad) + more)
+
+
+def coasting(model: Model, slowed_rad_s2: float, face_s: float = FACES_S[0]) -> Model:
+    """The model with a light load that is slowed so much in its gap, by friction that was taken for
+    the motor's: while both turn together it is."""
+    inertia = LIGHT * model.nominal.inertia_kg_m2
+    model = model.with_effect(
+        "contact",
+        compliance_rad_per_nm=FACE_RAD_PER_NM * yielding(model.nominal.inertia_kg_m2),
+        load_inertia_kg_m2=inertia,
+        damping_s=face_s,
+    )
+    friction_nm = slowed_rad_s2 * inertia
+    return _friction(friction_nm).put(model.with_effect("load_friction"), friction_nm)
+
+
+def _friction(size_nm: float, most_nm: float = np.inf) -> Unknown:
+    """The load's, of which the motor's own has so much less."""
+    name, step_nm = ("load_friction", "torque_nm"), 0.3 * size_nm
+    return Unknown(*name, 0.0, most_nm, step_nm, carries="coulomb.torque_nm", share=1.0)
+
+
+def is_coasting(model: Model) -> bool:
+    """Whether a model has a load that coasts as a nuisance."""
+    contact = model.effects.get("contact")
+    light = LIGHT * model.nominal.inertia_kg_m2
+    return contact is not None and contact.load_inertia_kg_m2 == light
+
+
+def slowing_rad_s2(model: Model) -> float:
+    """How fast the load is slowed in its gap."""
+    inertia = model.effects["contact"].load_inertia_kg_m2
+    return float(model.effects["load_friction"].torque_nm) / float(inertia)
+
+
+def given_back(model: Model) -> float:
+    """Share of a blow's speed with which the load leaves its face, 0 to 1.
+
+    Of a spring and damper that pushes and never pulls, at a damping ratio z (Schwager, Poeschel,
+    Granular Matter 9 (2007) 465): exp(-z a/w), w^2 = 1 - z^2, a = atan2(2 z w, 2 z^2 - 1).
+    """
+    contact = model.effects["contact"]
+    swing_s = np.sqrt(contact.compliance_rad_per_nm * contact.load_inertia_kg_m2)
+    ratio = 0.5 * float(contact.damping_s) / float(swing_s)
+    root = np.sqrt(abs(1.0 - ratio**2))
+    if root < 1e-6:
+        return float(np.exp(-2.0))
+    if ratio > 1.0:
+        return float(((ratio - root) / (ratio + root)) ** (ratio / root))
+    return float(np.exp(-ratio * np.arctan2(2.0 * ratio * root, 2.0 * ratio**2 - 1.0) / root))
+
+
+def _own(model: Model) -> tuple[Unknown, ...]:
+    friction = float(model.effects["load_friction"].torque_nm)
+    most = 10.0 * max(SLOWED_RAD_S2) * LIGHT * model.nominal.inertia_kg_m2
+    face = FACE_RAD_PER_NM * yielding(model.nominal.inertia_kg_m2)
+    damping = float(model.effects["contact"].damping_s)
+    return (
+        _friction(friction, most),
+        Unknown("contact", "compliance_rad_per_nm", 0.02 * face, 10.0 * face, step=0.4 * face),
+        Unknown("contact", "damping_s", 0.0, 2e-3, step=0.5 * damping),
+    )
+
+
+def _only_the_twist(whole: Evidence, final: Found, least: float) -> bool:
+    """Whether the twist misses so much, and nothing before the gap more than it may."""
+    missed = misfit(whole, final.errors)
+    twist, load = (
+        np.array([name.startswith(behind) for name in whole.names]) for behind in ("twist", "load")
+    )
+    if not twist.any():
+        return False
+    before = missed[~(twist | load)].max(initial=0.0)
+    return bool(
+        missed[twist].max() > least and before < RIGHT and missed[load].max(initial=0.0) < BEHIND
+    )

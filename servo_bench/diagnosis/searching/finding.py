@@ -1,0 +1,346 @@
+"""The diagnosis: from recordings to a verdict, stage by stage.
+
+    thinning    of rows in which no command can have changed, one is kept; by the recordings alone
+    base        nominal model and its nuisances, fitted on the recording's beginning
+    hygiene     lost commands are put right and counted
+    rounds      screen, fit, compete, accept; what is there but too small to matter is absorbed
+    whole       everything accepted, on all that was recorded, in fine steps; backward deletion;
+                a cause against its near rivals (`runoff`); what only all of it shows (`late`)
+    lattice     of the load angle, where the simulation with its causes does not stand on it too
+    judgement   named, none, or unknown; confidence, rivals, limits, gain on data no fit saw
+
+Causes are chosen on the recordings alone: fitted on the identification, judged on the validation.
+A held-out recording takes no part in it. Only where commands were lost are its own put right, by
+what the load did, because nobody can play a command that was not heard.
+Every stage is a function of values and can be called alone. Nothing here reads files or clocks but
+`time.perf_counter` for the time it took.
+"""
+
+import time
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from servo_bench.diagnosis.comparing.allowance import SCALES
+from servo_bench.diagnosis.comparing.comparison import Choice, compare
+from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
+from servo_bench.diagnosis.comparing.rounding import rounding
+from servo_bench.diagnosis.comparing.rows import Array
+from servo_bench.diagnosis.comparing.thinning import rows_to_a_command, thinned
+from servo_bench.diagnosis.comparing.ticks import ticks
+from servo_bench.diagnosis.comparing.unevenness import unevenness
+from servo_bench.diagnosis.reading.crossing import crossing_s
+from servo_bench.diagnosis.reading.hygiene import Lattice, LostCommands, lattice, wild_samples
+from servo_bench.diagnosis.reading.orders import USUAL, OrderLine, Tone, load_lines, tone
+from servo_bench.diagnosis.searching.bounces import bounces
+from servo_bench.diagnosis.searching.classes import class_of
+from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting, with_coasting
+from servo_bench.diagnosis.searching.gate import (
+    MOST_CAUSES,
+    RIGHT,
+    RIGHT_ALREADY,
+    is_noted,
+    material_sizes,
+    misfit,
+    passes,
+    passes_slowly,
+)
+from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Scales, hypotheses
+from servo_bench.diagnosis.searching.joint import (
+    Named,
+    fit_jointly,
+    is_worth_it,
+    needed_vehicle,
+    own_unknowns,
+    worth_a_name,
+)
+from servo_bench.diagnosis.searching.late import (
+    Late,
+    asked_again,
+    asked_late,
+    hidden_by_coasting,
+    unsure,
+)
+from servo_bench.diagnosis.searching.readying import (
+    filled_again,
+    heard_after_all,
+    made_ready,
+    turns_of,
+    whole_order,
+)
+from servo_bench.diagnosis.searching.rounds import (
+    LEAST_GAIN,
+    REFINES,
+    Contender,
+    Round,
+    Told,
+    play_round,
+)
+from servo_bench.diagnosis.searching.runoff import run_off
+from servo_bench.diagnosis.searching.seeking import Found, seek
+from servo_bench.errors import FitError
+from servo_bench.recording.recording import Recording
+from sim_rig.model import Model
+
+MOST_ROUNDS = 5
+TURNS = 3
+"""After a round in which nothing held what it promised, what promised less has so many more, while
+the simulation is wrong by more than it may be."""
+FURTHER_PROMISE = 0.008
+"""Screened gain below which a further cause is not even fitted where all is right already."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Everything that a verdict is written from.
+
+    `recordings` and `held_out` have the commands that the drive heard; `told` is the one that
+    judges, with the commands that were sent; all of them thinned to a row or two a command.
+    """
+
+    recordings: tuple[Recording, ...]
+    held_out: Recording | None
+    told: Recording
+    nominal: Model
+    scales: Scales
+    base: Found
+    final: Found
+    whole: Evidence
+    named: tuple[Named, ...]
+    absorbed: tuple[str, ...]
+    lost: LostCommands
+    lattice: Lattice | None
+    motor_lines: tuple[OrderLine, ...]
+    load_lines: tuple[OrderLine, ...]
+    tone: Tone | None
+    wild: int
+    turns: float
+    rounds: tuple[Round, ...]
+    misfit_before: Array
+    misfit_after: Array
+    notes: tuple[str, ...] = ()
+    seconds: float = 0.0
+
+    @property
+    def quantum_rad(self) -> float:
+        """Of the load's angle, where it lies on a lattice of its own; else zero."""
+        return self.lattice.quantum_rad if self.lattice is not None else 0.0
+
+
+def nothing_told(_: str) -> None:
+    """Progress that nobody wants."""
+
+
+def find_causes(
+    recordings: Sequence[Recording],
+    model: Model,
+    *,
+    held_out: Recording | None = None,
+    block: Choice = "auto",
+    without: Collection[str] = (),
+    only: Collection[str] = (),
+    report: Told = nothing_told,
+) -> Finding:
+    """All stages but the verdict's words. Raises FitError where the data do not suffice."""
+    began = time.perf_counter()
+    _need_command(recordings)
+    rows = rows_to_a_command(recordings) if block in ("auto", "loop") else 1
+    came, thin = recordings[0], _thinned(recordings, held_out, rows)
+    ready = made_ready(*thin, model, block=block, without=without, report=report)
+    quick, base, scales, band = ready.quick, ready.base, ready.scales, ready.band
+    motor, waves, turns = ready.motor, ready.waves, turns_of(quick)
+    load = load_lines(quick.fitted[0], base.model)
+    candidates = hypotheses(
+        scales,
+        motor_orders=[wave.order for wave in waves] or USUAL,
+        waves=waves,
+        ripple_orders=[whole_order(line.order, turns) for line in motor.ripple] or USUAL,
+        load_orders=[line.order for line in load],
+        crossed_s=crossing_s(quick.judging[0], base.model),
+        without=tuple(without),
+        only=tuple(only),
+    )
+    now, named, absorbed, rounds, failed = _rounds(quick, base, candidates, scales, report)
+    ready = filled_again(ready, now.model)
+    recordings, held_out, lost, told = ready.recordings, ready.held_out, ready.lost, ready.told
+    report("joint fit on everything")
+    whole = evidence_of(recordings, now.model, block=block)
+    if lost.rows and heard_after_all(whole, told[0], now, block):
+        recordings, held_out, lost = *told, LostCommands((), lost.changes)
+        whole = evidence_of(recordings, now.model, block=block)
+    final, named = fit_jointly(whole, now, named, band, report)
+    if named and ready.holes and recordings is ready.recordings:
+        ready = filled_again(ready, final.model)
+        recordings, held_out, told = ready.recordings, ready.held_out, ready.told
+        whole = evidence_of(recordings, final.model, block=block)
+        final, named = fit_jointly(whole, final, named, band, report)
+    final, named = run_off(whole, final, named, band, report)
+    plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
+    before = misfit(whole, plain.errors)
+    late = Late(quick, whole, candidates, scales, band, report)
+    noted = any(is_noted(n.effect, before) for n in named)
+    again = hidden_by_coasting(rounds, material_sizes(scales))
+    joint = None if noted else asked_again(late, plain, again)
+    if joint is not None:
+        (final, named), absorbed = joint, []
+        rounds += [n.round for n in named]
+    if not named:  # a line of its error may repeat with the shaft by chance
+        final = with_coasting(whole, final)
+    one = asked_late(late, final, named, unsure(failed))
+    if one is not None:
+        rounds.append(one.round)
+        final, named = fit_jointly(whole, one.contender.found, [*named, one], band, report)
+        absorbed = [effect for effect in absorbed if effect != one.effect]
+    if not is_coasting(final.model):  # its contact is no vehicle that a cause was tried on
+        named += needed_vehicle(whole, final, named, band, report)
+    named, small = _worth_telling(named, final, before, scales)
+    absorbed += small
+    # judged beside what is known now: a motor that sticks stands on the command's own steps
+    grid = None if "quantisation" in without else lattice(whole.fitted[0], final.model)
+    report("coasting")
+    final, plain = _coasting_at_last(whole, final, plain, nothing=not (named or absorbed))
+    return Finding(
+        recordings=recordings,
+        held_out=held_out,
+        told=told[1] or told[0][0],
+        nominal=model,
+        scales=scales,
+        base=plain,
+        final=final,
+        whole=whole,
+        named=tuple(named),
+        absorbed=tuple(e for e in absorbed if all(e != n.effect for n in named)),
+        lost=lost,
+        lattice=grid,
+        motor_lines=motor.torque,
+        load_lines=load,
+        tone=tone(quick.fitted[0], now.model),
+        wild=_wild(came, whole, final.model, scales),
+        turns=turns,
+        rounds=tuple(rounds),
+        misfit_before=before,
+        misfit_after=misfit(whole, final.errors, _beside(whole, final.model, scales, grid)),
+        notes=(*ready.notes, *_of_the_rows(came, rows)),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _coasting_at_last(
+    whole: Evidence, final: Found, plain: Found, *, nothing: bool
+) -> tuple[Found, Found]:
+    """The final fit and the plain one, with a load that coasts where that is so: where `nothing`
+    was found they are the same."""
+    final = with_coasting(whole, plain if nothing else final, to_ask=False)
+    return final, final if nothing else plain
+
+
+def _worth_telling(
+    named: Sequence[Named], final: Found, before: Array, scales: Scales
+) -> tuple[list[Named], list[str]]:
+    """Causes that are worth a name in the final fit, or what they need beside them; and effects
+    that are too small for one."""
+    coasts = is_coasting(final.model)  # what is left beside that is hardly anything else
+    noted = [n for n in named if coasts or is_noted(n.effect, before)]
+    small = [n.effect for n in named if not (coasts or is_noted(n.effect, before))]
+    small += [n.effect for n in noted if not is_worth_it(n, final, scales)]
+    return [n for one in noted for n in worth_a_name(one, final, scales)], small
+
+
+def _beside(whole: Evidence, model: Model, scales: Scales, grid: Lattice | None) -> Array:
+    """What this very model may miss beside what every right one may, in the signals' units."""
+    beside = (
+        bounces(whole, model),
+        unevenness(whole, model, scales.rig_torque_nm),
+        ticks(whole, model),
+        rounding(whole, grid.quantum_rad if grid is not None else 0.0),
+    )
+    return np.asarray(np.linalg.norm(beside, axis=0))
+
+
+def _need_command(recordings: Sequence[Recording]) -> None:
+    if any("velocity_command_rad_s" not in recording for recording in recordings):
+        raise FitError(
+            "a recording has no velocity command: the closed loop cannot be played from it. Record "
+            "the command, or give measured data with current or voltage and motion alone."
+        )
+
+
+def _thinned(
+    recordings: Sequence[Recording], held_out: Recording | None, rows: int
+) -> tuple[tuple[Recording, ...], Recording | None]:
+    judge = thinned(held_out, rows) if held_out is not None else None
+    return tuple(thinned(recording, rows) for recording in recordings), judge
+
+
+def _of_the_rows(came: Recording, rows: int) -> tuple[str, ...]:
+    if rows == 1:
+        return ()
+    return (
+        f"Commands lasted for {rows} rows or multiples of them: of so many one was judged, every "
+        f"{rows * came.period_s * 1e3:g} ms.",
+    )
+
+
+def _wild(came: Recording, whole: Evidence, model: Model, scales: Scales) -> int:
+    """Wrong samples, of all the rows that came."""
+    seen = whole.fitted[0]
+    if 1.5 * came.period_s < seen.source.rows.period_s:
+        seen = compare(came, model, seen.block, scales=SCALES)
+    return wild_samples(seen, model, scales.gap_rad)
+
+
+def accepted_of(played: Round, named: int, *, right: bool) -> Contender | None:
+    """The best that is beyond chance; or the plain cause before it, which it only refines, and
+    which is so on all blocks together."""
+    able = (c for c in played.contenders if passes(c, named=named, right=right))
+    found = next(able, None)
+    plain = next(iter(played.contenders), None)
+    if found is not None and plain is not None and REFINES.get(found.effect) == plain.effect:
+        return plain if passes_slowly(plain) else found
+    return found
+
+
+def _in_round(number: int, report: Told) -> Told:
+    return lambda what: report(f"round {number}: {what}")
+
+
+def _rounds(
+    quick: Evidence,
+    base: Found,
+    candidates: Sequence[Hypothesis],
+    scales: Scales,
+    report: Told,
+) -> tuple[Found, list[Named], list[str], list[Round], list[Round]]:
+    """Base, causes, what is too small for a name, all rounds, and those after the last cause."""
+    now, named, absorbed, rounds = base, list[Named](), list[str](), list[Round]()
+    failed = list[Round]()
+    open_, sizes, turns = list(candidates), material_sizes(scales), list[set[str]]()
+    for number in range(MOST_ROUNDS):
+        beside = with_coasting(quick, now) if named else now
+        kept = OTHERWISE if is_coasting(beside.model) else frozenset[str]()
+        out = kept.union(*turns)
+        asked = [h for h in open_ if h.effect not in out]
+        if not asked or len(named) == MOST_CAUSES:
+            break
+        missed = float(misfit(quick, beside.errors).max())
+        right = bool(named) and missed < RIGHT_ALREADY
+        least = FURTHER_PROMISE if right else LEAST_GAIN
+        told = _in_round(number + 1, report)
+        played = play_round(quick, beside, asked, sizes, told, least=least)
+        rounds.append(played)
+        failed.append(played)
+        accepted = accepted_of(played, len(named), right=right)
+        if accepted is None:
+            if missed < RIGHT or not played.contenders or len(turns) == TURNS:
+                break
+            turns.append({c.effect for c in played.contenders})
+            continue
+        one = Named(accepted.effect, played, accepted, own_unknowns(accepted, accepted.effect))
+        worth = worth_a_name(one, accepted.found, scales)
+        named += worth
+        absorbed += [] if one in worth else [one.effect]
+        now, turns, failed = accepted.found, [], []
+        # of a class one is enough: two would share among them what nobody can tell apart
+        open_ = [h for h in open_ if h.effect not in class_of(accepted.effect)]
+    return now, named, absorbed, rounds, failed

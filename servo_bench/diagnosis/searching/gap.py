@@ -1,0 +1,40 @@
+"""A gap that is a little wrong: within the band that every rig has, and yet most of what is wrong.
+
+A gap measured with a gauge is right to a few percent, so its band is free in every fit, and a cause
+is what leaves it. Once all else is known, a load that coasts among it, the recording knows the gap
+far better than any gauge: then the gap of the drawing competes with the one that was found.
+"""
+
+from collections.abc import Sequence
+
+from servo_bench.diagnosis.comparing.evidence import Evidence
+from servo_bench.diagnosis.searching.gate import A_FIFTH, HALF, material_sizes, passes
+from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Scales
+from servo_bench.diagnosis.searching.joint import Named, is_worth_it, own_unknowns
+from servo_bench.diagnosis.searching.rounds import faced
+from servo_bench.diagnosis.searching.seeking import Found, seek
+from servo_bench.diagnosis.searching.unknowns import widened
+from sim_rig.effects import backlash_width
+
+GAP, FREE = "backlash_width", ("change_rad",)
+
+
+def play_gap(
+    whole: Evidence, final: Found, candidates: Sequence[Hypothesis], scales: Scales
+) -> Named | None:
+    """The gap as a cause, where that of the drawing leaves a fifth more of the error."""
+    hypothesis = next((h for h in candidates if h.effect == GAP), None)
+    least_rad = HALF * material_sizes(scales)[GAP]
+    params = final.model.effects.get(GAP, backlash_width.Params())
+    if hypothesis is None or abs(float(params.change_rad)) < least_rad:
+        return None
+    others = tuple(u for u in final.unknowns if u.effect != GAP)
+    drawn = final.model.without(GAP)
+    base = seek(whole, drawn, others, final.sigma, iterations=4)
+    own = widened(GAP, FREE, final.model, least_rad)
+    found = seek(whole, final.model, (*others, *own), final.sigma, iterations=2, first=2)
+    played = faced(whole, base, [(found, hypothesis)])
+    contender = played.contenders[0]
+    named = Named(GAP, played, contender, own_unknowns(contender, GAP))
+    enough = contender.held_gain > A_FIFTH and passes(contender)
+    return named if enough and is_worth_it(named, found, scales) else None

@@ -1,0 +1,175 @@
+"""When a cause may be named: thresholds, fixed before any campaign that judges them.
+
+A contender passes when its advantage over the base is beyond chance in blocks of the recording,
+seen and held out, when it takes a real share of the held-out cost, and when its size is worth a
+name on this rig. Smaller ones are there, but no more than what every rig has beside its drawing:
+they are absorbed into the base and told in a note.
+
+What a simulation may miss and still be right is in `allowance`.
+"""
+
+import numpy as np
+
+from servo_bench.diagnosis.comparing.evidence import Errors, Evidence
+from servo_bench.diagnosis.comparing.rows import Array
+from servo_bench.diagnosis.searching.hypotheses import SPRINGS, VEHICLE, Scales
+from servo_bench.diagnosis.searching.rounds import Contender
+from servo_bench.diagnosis.searching.unknowns import MASS
+from sim_rig.effects import find_effect
+from sim_rig.model import Model
+
+SEEN_Z, HELD_Z = 4.0, 3.0
+HELD_GAIN, SECOND_GAIN, FURTHER_GAIN = 0.004, 0.04, 0.05
+"""Of the held-out cost: of the first cause, of a second one, and where little is wrong any more."""
+MOST_CAUSES = 3
+MOST_OF_IT, MUCH = 0.5, 0.1
+"""Who explains so much of what was seen need not be as sure on the rest."""
+RIGHT, RIGHT_ALREADY = 1.1, 0.7
+"""Largest misfit, in what a right simulation may miss, of a simulation that is called right; and
+that below which one needs good reasons for a further cause."""
+HALF, A_FIFTH = 0.5, 0.2
+LINES = frozenset({"cogging", "torque_ripple"})
+"""A line at an order of the shaft is like nothing else, so that their sizes are low: from little
+more than what every rig of the trials has beside its drawing (0.13 mN m) to six times that, by the
+rig's torque. Half of them is not enough."""
+WITHIN = frozenset(
+    {"coulomb", "viscous", "current_loop_lag", "velocity_filter_lag", "transport_delay"}
+)
+"""What is free in every fit up to nearly such a size: half of it is what every rig has, however
+much its shape may gain where little is wrong. So is a gap, but a little of that is a cause (`gap`).
+"""
+
+
+WARMING, FORETOLD_Z = frozenset({"thermal_torque_constant"}), 10.0
+"""What is held out comes last, and has most of it. Of friction another speed would do the same."""
+
+
+def material_sizes(s: Scales) -> dict[str, float]:
+    """The smallest strength of each effect that is worth a name on this rig, in SI."""
+    tau, gap = s.rig_torque_nm, s.gap_rad
+    return {
+        "coulomb": 0.045 * tau,
+        "viscous": 0.0055 * tau / s.speed_rad_s,
+        "stribeck": 0.03 * tau,
+        "pre_sliding": 0.08 * tau,
+        "asymmetric_friction": 0.01 * tau,
+        "position_friction": 0.02 * tau,
+        "thermal_friction": 0.02 * tau,
+        "load_dependent_friction": 0.012,
+        "cogging": 0.0075 * tau,
+        "torque_ripple": 0.002,
+        "torque_constant_error": 0.0125,
+        "inertia_error": 0.0125,
+        "torque_constant_droop": 0.01 / s.currents_a[0] ** 2,
+        "thermal_torque_constant": 0.025,
+        "anti_windup": 3.0,
+        "gravity_imbalance": 0.01 * tau,
+        "load_torque": 0.01 * tau,
+        "load_friction": 0.05 * tau,
+        "inverter_dead_time": 0.01 * s.current_a * tau / s.torque_nm,
+        "current_loop_lag": 1.1e-4,
+        "velocity_filter_lag": 2.6e-4,
+        "transport_delay": 1.4e-4,
+        "command_scale": 1e-3,
+        "command_offset": 0.003 * s.command_rad_s,
+        "command_deadband": 0.008 * s.command_rad_s,
+        "command_slew": 5e-4 / s.jump_rad_s,
+        "clock_skew": 2e-6,
+        "backlash_width": 1.05 * min(1e-3, 0.05 * gap),
+        "position_backlash": 0.02 * gap,
+        "encoder_eccentricity": 1.5e-4,
+        "misalignment": 6e-3,
+        "encoder_subdivision": 1e-5,
+    }
+
+
+GIVE, NOTED = 0.1, 0.5
+"""Every shaft and face gives way: worth a name where that takes so much of the held-out cost, and
+where a simulation without it has so much of the misfit that a right one may have."""
+
+
+FELT = 0.0075
+"""Of the inertia, that a load must have to be a cause beside what it carries: the motor feels
+nothing of a lighter one, which every rig has, and which coasts (`coasting`)."""
+
+
+def is_material(model: Model, effect: str, scales: Scales, held_gain: float = 0.0) -> bool:
+    """Whether an effect of that strength is worth a name on this rig.
+
+    Half of it is enough where the effect takes a fifth of all that is wrong, and where half of it
+    is more than what every fit has free.
+    """
+    sizes = material_sizes(scales)
+    if effect == VEHICLE and strength_of(model, "load_friction") > HALF * sizes["load_friction"]:
+        return is_felt(model)  # its mass is the cause, and what gives way is beside
+    if effect in SPRINGS and held_gain < GIVE:
+        return False
+    size = sizes.get(effect, 0.0)
+    enough = HALF if held_gain > A_FIFTH and effect not in LINES | WITHIN else 1.0
+    return abs(strength_of(model, effect)) >= enough * size
+
+
+def is_felt(model: Model) -> bool:
+    """Whether the motor feels the mass of the load behind its gap."""
+    mass = float(getattr(model.effects.get(VEHICLE), MASS, 0.0))
+    return mass > FELT * model.nominal.inertia_kg_m2
+
+
+def is_noted(effect: str, misfit_before: Array) -> bool:
+    """Whether enough is wrong without the effect: three free numbers of a spring fit anything."""
+    return effect not in SPRINGS or float(misfit_before.max()) > NOTED
+
+
+def promises(contender: Contender) -> bool:
+    """Whether a contender explains much of what no fit saw, whatever it does to what was seen."""
+    return contender.held_gain > A_FIFTH and contender.held_z > HELD_Z
+
+
+def passes_slowly(contender: Contender) -> bool:
+    """Whether what takes longer than the recording is beyond chance: seen and held out together.
+
+    It takes a small share of the cost, because the record shows but a part of it. What warms was
+    fitted by its mean on what was seen, and shows on what came after that.
+    """
+    if contender.held_gain > HELD_GAIN and _sure(contender):
+        return True
+    foretold = contender.held_z > FORETOLD_Z and contender.held_gain > FURTHER_GAIN
+    return contender.effect in WARMING and foretold and contender.seen_gain > HELD_GAIN
+
+
+def _sure(contender: Contender) -> bool:
+    """Beyond chance on both together, where neither speaks against it."""
+    least_z = min(contender.seen_z, contender.held_z)
+    together = np.hypot(contender.seen_z, contender.held_z)
+    return bool(least_z > 0.5 * HELD_Z and together > np.hypot(SEEN_Z, HELD_Z))
+
+
+def passes(contender: Contender, *, named: int = 0, right: bool = False) -> bool:
+    """Whether a contender is beyond chance.
+
+    `named` causes are in the base already; `right`: it misses no more than it may.
+    """
+    least = FURTHER_GAIN if right else SECOND_GAIN if named else HELD_GAIN
+    if contender.seen_gain > MOST_OF_IT or min(contender.seen_gain, contender.held_gain) > MUCH:
+        return _sure(contender) and contender.held_gain > FURTHER_GAIN
+    return (
+        contender.seen_z > SEEN_Z
+        and contender.held_z > HELD_Z
+        and contender.held_gain > least
+        and contender.seen_gain > HELD_GAIN
+    )
+
+
+def misfit(evidence: Evidence, errors: Errors, beside: Array | float = 0.0) -> Array:
+    """Every signal's robust deviation over what a right simulation may miss, shape (signals,).
+
+    `beside` is what this one may miss more, in the signals' units.
+    """
+    robust = errors.robust()
+    return np.asarray(robust / np.hypot(evidence.allowed, beside))
+
+
+def strength_of(model: Model, effect: str) -> float:
+    """The first strength of an effect in a model."""
+    params = model.effects.get(effect)
+    return float(getattr(params, find_effect(effect).strengths[0])) if params is not None else 0.0

@@ -1,0 +1,475 @@
+"""What is tried: for every effect of the catalogue a few finite sizes, and what is free in its fit.
+
+Sizes follow the rig and the excitation, so that a rig ten times as large is asked the same
+question: tau, omega, i are rms torque, speed and current of the nominal rig under this command; V
+the largest command and dV the rms of its jumps; W the gap; J the inertia. An effect without a line
+here is tried at three sizes of its own prior range, so that a new file needs nothing else.
+
+Friction, weight and torque on the load need a load: they are tried on the rigid one and on one with
+a mass of its own (contact), which is then the vehicle, and a cause only where it is needed.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from servo_bench.diagnosis.reading.orders import Wave
+from servo_bench.diagnosis.searching.unknowns import (
+    MASS,
+    USUAL_INERTIA_KG_M2,
+    Unknown,
+    delay_that_is_crossed,
+    widened,
+)
+from sim_rig.effects import catalogue, find_effect, inverter_dead_time, thermal_friction
+from sim_rig.effects.effect import Effect
+from sim_rig.errors import EffectError
+from sim_rig.model import Model, Simulated
+
+Table = Mapping[str, float]
+QUANTILES = (0.5, 0.66, 0.83)
+"""Of a prior's range by its logarithm: sizes of an effect that says nothing else."""
+SHARP = frozenset(
+    {
+        *("coulomb", "asymmetric_friction", "load_dependent_friction", "load_friction"),
+        *("position_friction", "thermal_friction"),
+    }
+)
+"""Friction whose smoothed sign change is tried sharper than its file has it, and as sharp as that
+of the Coulomb friction that was found."""
+HUB_SHARES, RINGING = (0.15, 0.3, 0.5), 0.03
+"""Of the inertia, behind a coupling that gives way; and its damping over the critical one."""
+VEHICLE, LOAD_SHARE = "contact", 0.04
+"""What gives the load a mass of its own; and how much of the inertia is behind its gap."""
+FACES_RAD_PER_NM, SLOWED_RAD_S2, BOUNCING = (5e-3, 1.5e-2), (150.0, 500.0, 1500.0, 5000.0), 0.2
+"""Of a load whose friction is known and whose mass is not: its faces, and how fast it slows down;
+and what such faces take of a blow, as a damping ratio."""
+ON_THE_LOAD = frozenset({"load_friction", "load_torque", "gravity_imbalance"})
+SHAPES: Mapping[str, tuple[Table, ...]] = {
+    "stribeck": tuple({"stribeck_rad_s": v, "transition_rad_s": 0.1 * v} for v in (0.15, 0.5, 2.0)),
+    "pre_sliding": tuple({"breakaway_angle_rad": angle} for angle in (3e-5, 3e-4, 1e-3)),
+    "command_deadband": tuple({"offset_fraction": kind} for kind in (0.0, 1.0)),
+}
+"""What is tried beside sizes. A sign change as wide as a Stribeck curve would be most of it."""
+LITTLE = 0.005
+"""Of rms torque: friction of a load that something else drives through its gap."""
+SPRINGS = frozenset({"contact", "coupling_compliance"})
+CROSSING_DELAYS_S = (2e-5, 5e-5, 1e-4)
+"""Of a usual rig's command, that a clock which falls behind takes away (see `crossing`)."""
+USUAL_RAD_S, USUAL_CHIP_S, USUAL_CHIPS = 3.0, 0.008, 512
+"""Of an excitation that tells causes apart: velocities anywhere between, a new one every chip."""
+DETECTED = frozenset({"missed_samples", "quantisation"})
+"""Found by looking for them in the data (`hygiene`), not by trying sizes."""
+
+
+class Scales(NamedTuple):
+    """How large things are on this rig under this excitation; SI."""
+
+    torque_nm: float
+    speed_rad_s: float
+    current_a: float
+    currents_a: tuple[float, ...]
+    integral_a: tuple[float, ...]
+    command_rad_s: float
+    jump_rad_s: float
+    gap_rad: float
+    inertia_kg_m2: float
+    peaks_a: tuple[float, ...] = ()
+    seconds: float = 0.0
+    usual_torque_nm: float = 0.0
+
+    @property
+    def rig_torque_nm(self) -> float:
+        """Rms torque of this excitation, or of a usual one where this is gentler: what a bearing
+        or a motor has of its own does not shrink with what is asked of it."""
+        return max(self.torque_nm, self.usual_torque_nm)
+
+    @property
+    def yielding(self) -> float:
+        """Compliance of a spring over that of one of the same pitch on a rig of a hundred watts."""
+        return yielding(self.inertia_kg_m2)
+
+
+def yielding(inertia_kg_m2: float) -> float:
+    """How much more a spring of the same pitch gives way than on a rig of a hundred watts."""
+    return USUAL_INERTIA_KG_M2 / inertia_kg_m2
+
+
+def scales_of(model: Model, commands_rad_s: np.ndarray, done: Simulated) -> Scales:
+    """From the nominal rig's own simulation. `currents_a` are high quantiles of its size,
+    `peaks_a` such as only the largest jumps reach.
+    """
+    nominal = model.nominal
+    current = np.abs(done.motor_current_a)
+    wanted = commands_rad_s - done.motor_velocity_rad_s
+    integral = np.abs(done.motor_current_a - nominal.proportional_gain_a_s_per_rad * wanted)
+    jumps = np.diff(commands_rad_s)
+    jumps = jumps[jumps != 0.0]
+    rms = float(np.sqrt(np.mean(current**2)))
+    return Scales(
+        torque_nm=max(rms * nominal.torque_constant_nm_per_a, 1e-9),
+        speed_rad_s=max(float(np.sqrt(np.mean(done.motor_velocity_rad_s**2))), 1e-9),
+        current_a=max(rms, 1e-9),
+        currents_a=_quantiles(current, (0.98, 0.92, 0.8)),
+        peaks_a=_quantiles(current, (0.998, 0.993)),
+        integral_a=_quantiles(integral, (0.98, 0.9, 0.75)),
+        command_rad_s=max(float(np.abs(commands_rad_s).max()), 1e-9),
+        jump_rad_s=max(float(np.sqrt(np.mean(jumps**2))) if jumps.size else 0.0, 1e-9),
+        gap_rad=nominal.backlash_gap_rad,
+        inertia_kg_m2=nominal.inertia_kg_m2,
+        seconds=done.end.time_s,
+        usual_torque_nm=_usual_torque_nm(model, float(np.abs(commands_rad_s).max())),
+    )
+
+
+def _usual_torque_nm(model: Model, largest_rad_s: float) -> float:
+    """Rms torque that the slowest usual excitation asks of the nominal rig, within the velocities
+    that were asked of it: an axis may be a slow one."""
+    most_rad_s = min(USUAL_RAD_S, largest_rad_s)
+    chips = np.random.default_rng(0).uniform(-most_rad_s, most_rad_s, USUAL_CHIPS)
+    done = model.simulate(chips, USUAL_CHIP_S)
+    rms_a = float(np.sqrt(np.mean(done.motor_current_a**2)))
+    return rms_a * model.nominal.torque_constant_nm_per_a
+
+
+def _quantiles(values: np.ndarray, at: Sequence[float]) -> tuple[float, ...]:
+    return tuple(max(float(q), 1e-9) for q in np.quantile(values, at))
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One setting of an effect; `beside` are effects that carry it; `size` that of its strength.
+
+    `swapped`: so much of its torque is taken from the Coulomb friction that was found.
+    `crossed_s`: a clock that falls behind until then; the delay that makes it so goes along.
+    `slowed_rad_s2`: a load of the mass that the friction which was found slows down so fast.
+    """
+
+    effect: str
+    settings: Table
+    size: float
+    beside: Mapping[str, Table] = field(default_factory=dict)
+    swapped: float = 0.0
+    crossed_s: float | None = None
+    slowed_rad_s2: float | None = None
+
+    def on(self, model: Model) -> Model:
+        """The model with it. Raises EffectError where it makes none."""
+        for name, table in self.beside.items():
+            if name not in model.effects or find_effect(name).is_off(model.effects[name]):
+                model = model.with_effect(name, **table)
+        params = model.effects.get(self.effect, find_effect(self.effect).params())
+        kept = {k: float(v) for k, v in params._asdict().items()}
+        settings = {**kept, **self.settings}
+        if self.effect in SHARP and "coulomb" in model.effects:
+            known = float(model.effects["coulomb"].transition_rad_s)
+            settings["transition_rad_s"] = min(settings["transition_rad_s"], known)
+        if self.swapped:
+            model = _warm(model, self.swapped * settings["cold_torque_nm"])
+        if self.crossed_s is not None:
+            delay_s = -self.crossed_s * settings["skew_fraction"]
+            model = model.with_effect("transport_delay", delay_s=delay_s)
+        if self.slowed_rad_s2 is not None:
+            settings |= _on_faces(model, self.slowed_rad_s2, settings["compliance_rad_per_nm"])
+        return model.with_effect(self.effect, **settings)
+
+    def times(self, share: float) -> "Trial":
+        """So many times as strong."""
+        strength = next(iter(self.settings))
+        value = self.settings[strength] * share
+        return replace(self, settings={**self.settings, strength: value}, size=abs(value))
+
+    def carrying(self, share: float) -> "Trial":
+        """On a vehicle with so many times the mass; the same trial where there is no vehicle."""
+        if VEHICLE not in self.beside:
+            return self
+        vehicle = self.beside[VEHICLE]
+        mass = {"load_inertia_kg_m2": vehicle["load_inertia_kg_m2"] * share}
+        return replace(self, beside={**self.beside, VEHICLE: {**vehicle, **mass}})
+
+
+def _on_faces(model: Model, slowed_rad_s2: float, compliance: float) -> Table:
+    """Mass and damping of a load that bounces on its faces as metal does, and goes on as far as its
+    friction lets it. Raises EffectError where it has none, or a mass already."""
+    friction = model.effects.get("load_friction")
+    if VEHICLE in model.effects or friction is None or friction.torque_nm <= 0.0:
+        raise EffectError("No friction of a load was found that would tell how fast it slows down.")
+    mass = min(float(friction.torque_nm) / slowed_rad_s2, 0.5 * model.nominal.inertia_kg_m2)
+    damping_s = 2.0 * BOUNCING * float(np.sqrt(compliance * mass))
+    return {"load_inertia_kg_m2": mass, "damping_s": damping_s}
+
+
+def _warm(model: Model, taken_nm: float) -> Model:
+    """Of the Coulomb friction that was found, so much is the cold's: the rest is tried beside it.
+
+    Added to what was found it would only show that there is enough of it.
+    """
+    coulomb = model.effects.get("coulomb")
+    if coulomb is None or coulomb.torque_nm < taken_nm:
+        return model
+    table = {**coulomb._asdict(), "torque_nm": float(coulomb.torque_nm) - taken_nm}
+    return model.with_effect("coulomb", **table)
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One effect: trials, and the fields that a fit frees, its own and its vehicle's."""
+
+    effect: str
+    trials: tuple[Trial, ...]
+    free: tuple[str, ...]
+
+    def unknowns(self, model: Model, trial: Trial) -> tuple[Unknown, ...]:
+        """What a fit that starts from `trial` frees."""
+        found = list(widened(self.effect, self.free, model, trial.size))
+        for name in trial.beside:
+            strength = find_effect(name).strengths[0]
+            found += widened(name, _FREE[name], model, trial.beside[name][strength])
+        if trial.swapped:
+            found[0] = replace(found[0], carries="coulomb.torque_nm", share=trial.swapped)
+        if self.effect in ON_THE_LOAD:  # how fast a load goes in its gap is torque over mass
+            found = [self._with_its_torque(u, trial) for u in found]
+        if trial.crossed_s is not None:
+            delay = delay_that_is_crossed()
+            found = [delay, replace(found[0], carries=delay.name, share=trial.crossed_s)]
+        return tuple(sorted(found, key=lambda u: bool(u.carries)))  # what is carried is put first
+
+    def _with_its_torque(self, unknown: Unknown, trial: Trial) -> Unknown:
+        if unknown.name != f"{VEHICLE}.{MASS}":
+            return unknown
+        torques = sorted({self.effect, *trial.beside} - {VEHICLE})
+        carries = " ".join(f"{effect}.torque_nm" for effect in torques)
+        return replace(unknown, carries=carries, in_proportion=True)
+
+
+_FREE = {
+    "coulomb": ("torque_nm", "transition_rad_s"),
+    "asymmetric_friction": ("difference_torque_nm", "transition_rad_s"),
+    "load_dependent_friction": ("loss_fraction", "transition_rad_s"),
+    "position_friction": ("swing_torque_nm", "phase_rad", "transition_rad_s"),
+    "load_friction": ("torque_nm", "transition_rad_s"),
+    "stribeck": ("excess_torque_nm", "stribeck_rad_s", "transition_rad_s"),
+    "pre_sliding": ("torque_nm", "breakaway_angle_rad"),
+    "contact": ("compliance_rad_per_nm", "damping_s", "load_inertia_kg_m2"),
+    "coupling_compliance": ("compliance_rad_per_nm", "damping_s", "load_inertia_kg_m2"),
+    "inverter_dead_time": ("notch_a", "recovery_s"),
+    "current_limit": ("limit_per_a",),
+}
+
+
+def hypotheses(
+    scales: Scales,
+    *,
+    motor_orders: Sequence[float] = (),
+    waves: Sequence[Wave] = (),
+    ripple_orders: Sequence[float] = (),
+    load_orders: Sequence[float] = (),
+    crossed_s: float | None = None,
+    without: Sequence[str] = (),
+    only: Sequence[str] = (),
+) -> tuple[Hypothesis, ...]:
+    """All that can be tried on this rig."""
+    found = []
+    for name, effect in catalogue().items():
+        if name in DETECTED or name in without or (only and name not in only):
+            continue
+        if name in ("backlash_width", "position_backlash") and scales.gap_rad <= 0.0:
+            continue
+        trials = tuple(_trials(effect, scales, _Orders(motor_orders, ripple_orders, load_orders)))
+        if name == "clock_skew" and crossed_s is not None:
+            trials = tuple(_crossing(crossed_s))
+        if name == VEHICLE:
+            trials += tuple(_slowed(scales))
+        if trials:
+            found.append(Hypothesis(name, trials, _FREE.get(name) or _default_free(effect)))
+        if name == "cogging" and waves:
+            found.append(_as_measured(waves))
+    return tuple(found)
+
+
+def _as_measured(waves: Sequence[Wave]) -> Hypothesis:
+    """Cogging of all the orders that stand in the errors, at their own sizes and phases."""
+    settings = cogging_of(waves)
+    free = tuple(name for name in settings if not name.endswith("order"))
+    return Hypothesis("cogging", (Trial("cogging", settings, waves[0].torque_nm),), free)
+
+
+def cogging_of(waves: Sequence[Wave]) -> dict[str, float]:
+    """The effect's parameters for as many waves as it has places."""
+    settings: dict[str, float] = {}
+    for which, wave in zip(("", "second_", "third_"), waves, strict=False):
+        settings |= {
+            f"{which}torque_nm": wave.torque_nm,
+            f"{which}order": wave.order,
+            f"{which}phase_rad": wave.phase_rad,
+        }
+    return settings
+
+
+class _Orders(NamedTuple):
+    """Periods a revolution that are tried: of a torque, of one with the current, of the load's."""
+
+    motor: Sequence[float]
+    ripple: Sequence[float]
+    load: Sequence[float]
+
+
+def _default_free(effect: Effect) -> tuple[str, ...]:
+    """The first strength, and its phase where it has one."""
+    phases = ("phase_rad",) if "phase_rad" in effect.params._fields else ()
+    return effect.strengths[:1] + phases
+
+
+def _trials(
+    effect: Effect,
+    scales: Scales,
+    orders: "_Orders",
+) -> Iterator[Trial]:
+    sizes = _sizes(effect, scales)
+    strength = effect.strengths[0]
+    swapped = _mean_warmth(scales) if effect.name == "thermal_friction" else 0.0
+    for choice, beside in _choices(effect.name, scales, orders):
+        coasting = effect.name == "load_friction" and VEHICLE in beside
+        for size in (*sizes, *(_slowing_nm(scales) if coasting else ())):
+            settings = {strength: size, **choice}
+            if effect.name == "coupling_compliance":
+                settings["damping_s"] = _ringing_s(settings, scales)
+            yield Trial(effect.name, settings, abs(size), beside, swapped)
+
+
+def _slowing_nm(s: Scales) -> tuple[float, ...]:
+    """Friction that brings a vehicle's load to rest about as far as its gap is wide: between them
+    no template of one tells of the other."""
+    if s.gap_rad <= 0.0:
+        return ()
+    slowed_rad_s2 = 0.5 * s.speed_rad_s**2 / s.gap_rad
+    mass = LOAD_SHARE * s.inertia_kg_m2
+    return tuple(share * slowed_rad_s2 * mass for share in (0.5, 1.0, 2.0, 4.0))
+
+
+def _crossing(crossed_s: float) -> Iterator[Trial]:
+    """Clocks that take a usual delay away until then: what crosses is steep, and found by no step
+    from elsewhere."""
+    for delay_s in CROSSING_DELAYS_S:
+        skew = -delay_s / crossed_s
+        yield Trial("clock_skew", {"skew_fraction": skew}, abs(skew), crossed_s=crossed_s)
+
+
+def _slowed(s: Scales) -> Iterator[Trial]:
+    """A mass for a load of which only the friction is known: how fast it slows down tells it."""
+    for compliance, slowed in product(FACES_RAD_PER_NM, SLOWED_RAD_S2):
+        size = compliance * s.yielding
+        yield Trial(VEHICLE, {"compliance_rad_per_nm": size}, size, slowed_rad_s2=slowed)
+
+
+def _ringing_s(settings: Table, s: Scales) -> float:
+    """Of a coupling that rings for some periods, as metal does; a resonance is a narrow valley."""
+    share = settings["load_inertia_kg_m2"] / s.inertia_kg_m2
+    swinging = settings["load_inertia_kg_m2"] * (1.0 - share)
+    return float(2.0 * RINGING * np.sqrt(settings["compliance_rad_per_nm"] * swinging))
+
+
+def _mean_warmth(s: Scales) -> float:
+    """How much of the cold's friction is there on the average of the record."""
+    return float(np.exp(-0.5 * s.seconds / thermal_friction.Params().warming_s))
+
+
+def _sizes(effect: Effect, s: Scales) -> tuple[float, ...]:
+    tau, gap = s.torque_nm, s.gap_rad
+    table: dict[str, tuple[float, ...]] = {
+        "coulomb": (0.1 * tau, 0.3 * tau, 0.8 * tau),
+        "viscous": tuple(k * tau / s.speed_rad_s for k in (0.01, 0.05, 0.2)),
+        "stribeck": (0.05 * tau, 0.2 * tau),
+        "pre_sliding": (0.1 * tau, 0.4 * tau),
+        "asymmetric_friction": (-0.05 * tau, 0.05 * tau),
+        "position_friction": (0.05 * tau, 0.2 * tau),
+        "thermal_friction": (0.1 * tau, 0.3 * tau),
+        "load_dependent_friction": (0.03, 0.1),
+        "cogging": (0.05 * tau, 0.3 * tau),
+        "torque_ripple": (0.03,),
+        "torque_constant_error": (-0.08, -0.03, 0.03, 0.08),
+        "inertia_error": (-0.2, -0.06, 0.06, 0.2),
+        "torque_constant_droop": tuple(k / s.currents_a[0] ** 2 for k in (0.05, 0.2)),
+        "thermal_torque_constant": (0.05,),
+        "current_limit": tuple(1.0 / current for current in (*s.peaks_a, *s.currents_a)),
+        "integrator_clamp": tuple(k / s.integral_a[2] for k in (0.4, 0.7, 1.2, 2.2, 4.0)),
+        "anti_windup": (30.0, 300.0),
+        "current_loop_lag": (2e-4, 8e-4),
+        "velocity_filter_lag": (4e-4, 1.5e-3),
+        "inverter_dead_time": (0.03 * s.current_a, 0.15 * s.current_a),
+        "transport_delay": (3e-4, 1.5e-3, 5e-3),
+        "command_slew": tuple(duration / s.jump_rad_s for duration in (1e-3, 3e-3, 8e-3)),
+        "command_deadband": tuple(k * s.command_rad_s for k in (0.03, 0.1, 0.25)),
+        "command_scale": (-0.005, 0.005),
+        "command_offset": tuple(k * s.command_rad_s for k in (-0.1, -0.02, 0.02, 0.1)),
+        "clock_skew": (-5e-5, -1e-5, 1e-5, 5e-5),
+        "backlash_width": (-0.2 * gap, -0.06 * gap, 0.06 * gap, 0.2 * gap),
+        "position_backlash": (0.1 * gap, 0.3 * gap),
+        "contact": tuple(c * s.yielding for c in (2e-3, 2e-2, 0.1)),
+        "coupling_compliance": tuple((s.yielding * np.geomspace(1e-3, 6e-2, 24)).tolist()),
+        "load_friction": (0.05 * tau, 0.3 * tau),
+        "load_torque": (-0.3 * tau, -0.05 * tau, 0.05 * tau, 0.3 * tau),
+        "gravity_imbalance": (0.1 * tau, 0.4 * tau),
+        "encoder_eccentricity": (1e-3,),
+        "misalignment": (0.03,),
+        "encoder_subdivision": (1e-4,),
+    }
+    if effect.name in table:
+        return table[effect.name]
+    prior = effect.parameters[0].prior
+    if prior.least == 0.0 < prior.low:
+        ratio = prior.high / prior.low
+        return tuple(prior.low * ratio**q for q in QUANTILES)
+    return 0.3 * prior.low, 0.3 * prior.high
+
+
+def _choices(
+    name: str, s: Scales, orders: "_Orders"
+) -> Iterator[tuple[Table, Mapping[str, Table]]]:
+    """What is not sought by steps but by trying: orders, velocities, a vehicle."""
+    if name == "cogging":
+        yield from (({"order": float(order)}, {}) for order in orders.motor)
+    elif name == "torque_ripple":
+        yield from (
+            ({"electrical_order": float(order), "pole_pair_count": 1.0}, {})
+            for order in orders.ripple
+        )
+    elif name == "encoder_subdivision":
+        yield from (({"line_order": float(order)}, {}) for order in orders.load)
+    elif name in SHARP:
+        yield from (({"transition_rad_s": 0.1}, beside) for beside in _vehicles(name, s))
+    elif name in SHAPES:
+        yield from ((shape, {}) for shape in SHAPES[name])
+    elif name == "anti_windup":
+        limits_a = (*s.peaks_a, *s.currents_a)
+        yield from (({}, {"current_limit": {"limit_per_a": 1.0 / a}}) for a in limits_a)
+    elif name == "inverter_dead_time":
+        width = min(inverter_dead_time.Params().transition_a, s.current_a / 3.0)
+        yield from (({"pole_pair_count": p, "transition_a": width}, {}) for p in (2.0, 4.0, 5.0))
+    elif name == "contact":
+        yield from (
+            ({"load_inertia_kg_m2": share * s.inertia_kg_m2}, {}) for share in (0.004, 0.015, 0.05)
+        )
+    elif name == "coupling_compliance":
+        yield from (({"load_inertia_kg_m2": share * s.inertia_kg_m2}, {}) for share in HUB_SHARES)
+    else:
+        yield from (({}, beside) for beside in _vehicles(name, s))
+
+
+def _vehicles(name: str, s: Scales) -> Iterator[Mapping[str, Table]]:
+    """None, and for what acts on the load a load with a mass, which rubs a little."""
+    yield {}
+    if name not in ON_THE_LOAD:
+        return
+    vehicle: dict[str, Table] = {
+        VEHICLE: {
+            "compliance_rad_per_nm": 2e-3 * s.yielding,
+            "load_inertia_kg_m2": LOAD_SHARE * s.inertia_kg_m2,
+        }
+    }
+    if name != "load_friction":
+        vehicle["load_friction"] = {"torque_nm": LITTLE * s.torque_nm}
+    yield vehicle

@@ -1,0 +1,121 @@
+"""Causes that the recording's beginning could not tell apart, once more: on all that was recorded.
+
+A round is played on the beginning, because fits there are cheap. What it leaves between a cause and
+its near rivals is noise of a few seconds; on everything they often lie ten deviations apart.
+"""
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from servo_bench.diagnosis.comparing.evidence import Evidence
+from servo_bench.diagnosis.searching.classes import class_of, siblings_of
+from servo_bench.diagnosis.searching.hypotheses import SPRINGS
+from servo_bench.diagnosis.searching.joint import Named, fit_jointly, own_unknowns
+from servo_bench.diagnosis.searching.rounds import Contender, Told, faced
+from servo_bench.diagnosis.searching.seeking import Found, seek, settle
+from servo_bench.diagnosis.searching.unknowns import Unknown, merged
+from servo_bench.errors import FitError
+from sim_rig.errors import SimRigError
+from sim_rig.model import Model
+
+
+def run_off(
+    whole: Evidence, final: Found, named: Sequence[Named], band: Sequence[Unknown], report: Told
+) -> tuple[Found, list[Named]]:
+    """The joint fit with the better of every cause and its near rivals; each with a round of all
+    that was recorded where it had any. A rival that takes a cause's place is fitted jointly anew.
+    """
+    kept, now = list(named), final
+    brought = {n.effect: _brought(n, n.contender) for n in named}
+    for place, one in enumerate(named):
+        others = frozenset().union(*(brought[n.effect] for n in named if n is not one))
+        rivals = _rivals(one, kept)
+        if not rivals:
+            continue
+        report(f"{one.effect} against {', '.join(rival.effect for rival in rivals)}")
+        gone = brought[one.effect] - others
+        ends = [(_again(whole, now, gone), one.contender.hypothesis)]
+        for rival in rivals:
+            try:
+                new = _brought(one, rival) - others
+                ends.append((_instead(whole, now, gone, (rival, new), band), rival.hypothesis))
+            except (FitError, SimRigError, np.linalg.LinAlgError):
+                continue
+        if len(ends) == 1:
+            continue
+        try:
+            base = _without(whole, now, {one.effect, *(gone - SPRINGS)}, band)
+        except SimRigError:  # the others need it
+            continue
+        played = faced(whole, base, ends, one.round.screened)
+        first = played.contenders[0]
+        kept[place] = Named(first.effect, played, first, own_unknowns(first, first.effect))
+        if first.effect != one.effect:
+            now = first.found
+    return (final, kept) if now is final else fit_jointly(whole, now, kept, band, report)
+
+
+def _brought(one: Named, contender: Contender) -> frozenset[str]:
+    """What came with a contender of a cause's round: what carries it, and what it carries."""
+    usual = {u.effect for u in one.round.base.unknowns}
+    mine = {u.effect for u in contender.found.unknowns} - usual | {contender.effect}
+    own = [u for u in contender.found.unknowns if u.effect in mine]
+    return frozenset(mine | {name.split(".")[0] for u in own for name in u.carried})
+
+
+def _rivals(one: Named, named: Sequence[Named]) -> list[Contender]:
+    """Near ones that could be told from the cause, or from it where the shaft rests, and are not
+    named themselves."""
+    if one.missed_z is not None or one.effect != one.contender.effect:
+        return []
+    siblings = siblings_of(one.effect)
+    out = frozenset().union(*(class_of(n.effect) for n in named)) - siblings
+    out |= {n.effect for n in named}
+    near = {c.effect for c in one.round.near(one.contender)} | siblings
+    return [c for c in one.round.contenders if c.effect in near - out]
+
+
+def _again(whole: Evidence, found: Found, own: Collection[str]) -> Found:
+    """As much search for everyone."""
+    again = seek(whole, found.model, found.unknowns, found.sigma, iterations=4, first=1)
+    return settle(whole, again, own, turns=1)
+
+
+def _instead(
+    whole: Evidence,
+    now: Found,
+    gone: Collection[str],
+    instead: tuple[Contender, Collection[str]],
+    band: Sequence[Unknown],
+) -> Found:
+    """The joint fit with a rival, and all that came with it, in the place of what is gone."""
+    rival, new = instead
+    start = _taken_out(now, {*gone, *new}, set(gone) - set(new), band)
+    model = start.model
+    for effect in new:
+        model = model.with_effect(effect, **rival.found.model.effects[effect]._asdict())
+    unknowns = merged(start.unknowns, [u for u in rival.found.unknowns if u.effect in new])
+    return _again(whole, _put(start, model, unknowns), new)
+
+
+def _without(whole: Evidence, now: Found, gone: Collection[str], band: Sequence[Unknown]) -> Found:
+    return _again(whole, _taken_out(now, gone, gone, band), ())
+
+
+def _taken_out(
+    now: Found, gone: Collection[str], back: Collection[str], band: Sequence[Unknown]
+) -> Found:
+    """A search's start without some effects; those of `back` that every rig has, in their bands."""
+    model, usual = now.model.without(*gone), [u for u in band if u.effect in back]
+    for unknown in usual:
+        value = np.clip(unknown.of(now.model), unknown.low, unknown.high)
+        model = unknown.put(model, float(value))
+    return _put(now, model, [*(u for u in now.unknowns if u.effect not in gone), *usual])
+
+
+def _put(now: Found, model: Model, unknowns: Sequence[Unknown]) -> Found:
+    """Another start; what is carried comes first."""
+    return now._replace(
+        model=model, unknowns=tuple(sorted(unknowns, key=lambda u: bool(u.carries)))
+    )

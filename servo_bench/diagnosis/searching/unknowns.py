@@ -1,0 +1,187 @@
+"""What is sought in a fit, and what is believed of it before.
+
+Some numbers of every rig are a little wrong, and no cause worth naming: the nuisances. Each may
+move within a band about zero, sized by the rig itself (tau, omega: rms torque and speed that this
+excitation asks of the nominal rig), and is freed in every fit:
+
+    coulomb                 0 .. 4 % of tau            current_loop_lag      0 .. 0.1 ms
+    viscous                 0 .. 0.5 % of tau/omega    velocity_filter_lag   0 .. 0.25 ms
+    torque_constant_error   -0.5 .. 0.5 %   transport_delay       0 .. 0.13 ms
+    inertia_error           -0.5 .. 0.5 %   backlash_width        -1 .. 1 mrad, 5 %
+
+A cause of the same name is one that leaves its band; a gap's error may be one within it (`gap`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from servo_bench.diagnosis.fitting.free import FreeParameter, free_parameters
+from sim_rig.effects import find_effect
+from sim_rig.model import Model
+
+MASS = "load_inertia_kg_m2"
+USUAL_SHARE, LEAST_SHARE = 0.2, 1e-4
+"""Of the inertia, behind the gap or the coupling."""
+STIFFEST, FACE, USUAL_INERTIA_KG_M2 = 0.05, ("contact", "compliance_rad_per_nm"), 2.5e-4
+"""Of the smallest compliance of a face on a rig of a hundred watts: one that is stiffer throws the
+load no other way, and every step of its simulation becomes shorter."""
+WIDE = 30.0
+"""So many times the size that is tried is sought, at most, of what has no bound of its own."""
+
+MOST_DELAY_S, FINE_DELAY_S = 1.3e-4, 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """One number that is sought between `low` and `high`, in steps of `step`.
+
+    `centre` and `deviation` are what is believed; an infinite deviation believes nothing.
+    What changes nearly the same as another number `carries` that one: putting it takes `share` of
+    the change off there, so that the two can be sought apart (see `seeking`); or, where they are
+    known by their ratio, changes that one `in_proportion`. Several are told with spaces between.
+    """
+
+    effect: str
+    field: str
+    low: float
+    high: float
+    step: float
+    centre: float = 0.0
+    deviation: float = np.inf
+    circular: bool = False
+    carries: str = ""
+    share: float = 0.0
+    in_proportion: bool = False
+
+    @property
+    def name(self) -> str:
+        """`cogging.torque_nm`."""
+        return f"{self.effect}.{self.field}"
+
+    def of(self, model: Model) -> float:
+        """Its value there."""
+        params = model.effects.get(self.effect, find_effect(self.effect).params())
+        return float(getattr(params, self.field))
+
+    def put(self, model: Model, value: float) -> Model:
+        """The model with another value."""
+        params = model.effects.get(self.effect, find_effect(self.effect).params())
+        for name in self.carried:
+            model = self._taken_along(model, name, value - self.of(model))
+        changed = params._replace(**{self.field: value})
+        return replace(model, effects={**model.effects, self.effect: changed})
+
+    @property
+    def carried(self) -> tuple[str, ...]:
+        """Names of the numbers that go along."""
+        return tuple(self.carries.split())
+
+    def share_of(self, carried: str, model: Model) -> float:
+        """How much of a change is taken off there."""
+        own = self.of(model)
+        if not self.in_proportion or own == 0.0:
+            return self.share
+        return -_value(model, carried) / own
+
+    def _taken_along(self, model: Model, carried: str, change: float) -> Model:
+        effect, field = carried.split(".")
+        if self.in_proportion and effect not in model.effects:
+            return model
+        left = _value(model, carried) - self.share_of(carried, model) * change
+        params = model.effects.get(effect, find_effect(effect).params())
+        params = params._replace(**{field: left if self.in_proportion else max(left, 0.0)})
+        return replace(model, effects={**model.effects, effect: params})
+
+
+def _value(model: Model, name: str) -> float:
+    effect, field = name.split(".")
+    return float(getattr(model.effects.get(effect, find_effect(effect).params()), field))
+
+
+def nuisances(torque_rms_nm: float, speed_rms_rad_s: float, gap_rad: float) -> tuple[Unknown, ...]:
+    """The bands of every rig, for this excitation."""
+    torque = 0.04 * torque_rms_nm
+    damping = 0.005 * torque_rms_nm / max(speed_rms_rad_s, 1e-9)
+    gap = min(1e-3, 0.05 * gap_rad)
+    bands = (
+        ("coulomb", "torque_nm", 0.0, torque),
+        ("viscous", "damping_nm_s_per_rad", 0.0, damping),
+        ("current_loop_lag", "lag_s", 0.0, 1e-4),
+        ("velocity_filter_lag", "lag_s", 0.0, 2.5e-4),
+        ("transport_delay", "delay_s", 0.0, MOST_DELAY_S),
+        ("torque_constant_error", "error_fraction", -0.005, 0.005),
+        ("inertia_error", "error_fraction", -0.005, 0.005),
+        *((("backlash_width", "change_rad", -gap, gap),) if gap > 0.0 else ()),
+    )
+    return tuple(_band(*band) for band in bands)
+
+
+def delay_that_is_crossed() -> Unknown:
+    """The delay's band in fine steps: its ratio to a clock's skew is when that uses it up."""
+    return replace(_band("transport_delay", "delay_s", 0.0, MOST_DELAY_S), step=FINE_DELAY_S)
+
+
+def _band(effect: str, field: str, low: float, high: float) -> Unknown:
+    return Unknown(
+        effect,
+        field,
+        low,
+        high,
+        step=0.5 * high,
+        centre=0.5 * (low + high),
+        deviation=high if low < 0.0 else 0.5 * high,
+    )
+
+
+def widened(effect: str, fields: Sequence[str], model: Model, size: float) -> tuple[Unknown, ...]:
+    """These parameters of an effect, free over all that has a meaning.
+
+    `size`, that of the strength on this rig, sets the steps, and widens a range that was written
+    for a rig of a hundred watts.
+    """
+    found = free_parameters(_on(model, effect), [f"{effect}.{field}" for field in fields])
+    inertia = model.nominal.inertia_kg_m2
+    return tuple(_wide(p, effect, size, inertia) for p in found)
+
+
+def _on(model: Model, effect: str) -> Model:
+    """The model with the effect's sample, so that every parameter acts."""
+    sample = dict(find_effect(effect).sample)
+    params = find_effect(effect).params(**sample)._asdict()
+    if MASS in params:
+        sample[MASS] = min(float(params[MASS]), USUAL_SHARE * model.nominal.inertia_kg_m2)
+    return model.with_effect(effect, **sample)
+
+
+def _wide(parameter: FreeParameter, effect: str, size: float, inertia: float) -> Unknown:
+    field = parameter.field
+    if parameter.circular:
+        return Unknown(effect, field, -np.inf, np.inf, step=0.5, circular=True)
+    prior = next(p.prior for p in find_effect(effect).parameters if p.name == field)
+    own = WIDE * abs(size) if parameter.is_strength else 0.0
+    low = max(prior.least, 0.0) if prior.least >= 0.0 else -max(10.0 * abs(prior.low), own)
+    high = min(prior.most, max(10.0 * prior.high, own))
+    if (effect, field) == FACE:
+        low = STIFFEST * prior.low * USUAL_INERTIA_KG_M2 / inertia
+    if field == MASS:
+        low, high = LEAST_SHARE * inertia, inertia
+    elif prior.above > -np.inf:
+        low, high = max(0.2 * prior.low, prior.above), min(prior.most, 1.5 * prior.high)
+    step = 0.3 * size if parameter.is_strength else 0.3 * parameter.centre
+    step = abs(step) or 0.1 * (prior.high - prior.low)
+    return Unknown(effect, field, max(low, prior.least), high, step=step)
+
+
+def put_all(model: Model, unknowns: Sequence[Unknown], values: Sequence[float]) -> Model:
+    """The model with all of them."""
+    for unknown, value in zip(unknowns, values, strict=True):
+        model = unknown.put(model, float(value))
+    return model
+
+
+def merged(old: Sequence[Unknown], new: Sequence[Unknown]) -> tuple[Unknown, ...]:
+    """The old ones, less those that the new ones stand for, and the new ones."""
+    names = {u.name for u in new}
+    return (*(u for u in old if u.name not in names), *new)

@@ -33,8 +33,9 @@ from pathlib import Path
 
 from drivers.clock import SYSTEM_CLOCK
 from servo_bench.clock import monotonic_ns
+from servo_bench.devices import ModbusDriveConfig
 from servo_bench.excitation.experiment import Experiment, MSequence, RandomBinary
-from servo_bench.rig import ModbusDriveConfig, RigConfig, load_rig
+from servo_bench.rig import RigConfig, load_rig
 from sim_rig.process import spawn
 from tests.watched_plant import FILE, PLANT, Motion, Witness
 

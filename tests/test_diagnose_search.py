@@ -7,7 +7,8 @@ import pytest
 
 from servo_bench.diagnosis.comparing.evidence import ASKED, Errors, Evidence, evidence_of
 from servo_bench.diagnosis.judging import judgement
-from servo_bench.diagnosis.judging.judgement import quantities, standard_errors, verdict_of
+from servo_bench.diagnosis.judging.intervals import quantities, standard_errors
+from servo_bench.diagnosis.judging.judgement import verdict_of
 from servo_bench.diagnosis.searching.finding import find_causes, nothing_told
 from servo_bench.diagnosis.searching.gate import (
     is_material,

@@ -9,6 +9,7 @@ import pytest
 
 from drivers.canopen.budget import bus_budget, check_bus_load
 from drivers.errors import SettingsError
+from servo_bench.devices import SerialEncoderConfig
 from servo_bench.diagnosis.comparing.rows import rows_of
 from servo_bench.errors import BenchError, ConfigError, RecordingError, WireError, gathered
 from servo_bench.excitation.experiment import Experiment, MSequence, RandomBinary
@@ -18,7 +19,7 @@ from servo_bench.recording.mcap_file import load
 from servo_bench.recording.recording import FAST_FIELDS, Recording
 from servo_bench.recording.recover import recover
 from servo_bench.report.main_numbers import run_rows
-from servo_bench.rig import Limits, RigConfig, SerialEncoderConfig, load_rig
+from servo_bench.rig import Limits, RigConfig, load_rig
 from servo_bench.run.axes import open_axis
 from servo_bench.run.busloop import Player
 from servo_bench.run.finding import Level

@@ -10,8 +10,9 @@ from drivers.canopen.line import Line, open_bus
 from drivers.canopen.node import Node
 from drivers.canopen.setup import open_drive
 from drivers.clock import SYSTEM_CLOCK
+from servo_bench.devices import ModbusDriveConfig
 from servo_bench.errors import BenchError, gathered
-from servo_bench.rig import ModbusDriveConfig, RigConfig
+from servo_bench.rig import RigConfig
 
 OWN_STOP_S = 1.0
 """How long after its master's last word a drive may take to stop by itself, beyond its timeout."""

@@ -9,7 +9,8 @@ from drivers.modbus.master import ModbusAxis
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.stopline import ModbusStopLine
 from drivers.stopline import StopLine
-from servo_bench.rig import ModbusDriveConfig, RigConfig
+from servo_bench.devices import ModbusDriveConfig
+from servo_bench.rig import RigConfig
 
 _CIA402_ENABLED = 0x6F, 0x27
 

@@ -28,9 +28,10 @@ from typing import Any
 
 from drivers.axis import Axis, Sample
 from servo_bench.clock import NS_PER_S, Clock, monotonic_ns
+from servo_bench.devices import DriveConfig
 from servo_bench.errors import BenchError, ConfigError, LimitError, WireError, gathered
 from servo_bench.excitation.experiment import Experiment, Schedule, experiment_from_table
-from servo_bench.rig import DriveConfig, Limits, RigConfig, rig_from_table
+from servo_bench.rig import Limits, RigConfig, rig_from_table
 from servo_bench.run.axes import open_axis
 from servo_bench.run.limits import Guard, check_missed
 from servo_bench.run.pace import Pace, pace_of

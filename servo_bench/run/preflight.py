@@ -19,10 +19,11 @@ from drivers.modbus import profile as names
 from drivers.modbus.budget import shortest_period
 from drivers.modbus.scaling import scale_of
 from drivers.modbus.settings import ModbusSettings
+from servo_bench.devices import ModbusDriveConfig
 from servo_bench.errors import BenchError, gathered
 from servo_bench.excitation.experiment import Experiment, Schedule
 from servo_bench.excitation.prediction import Prediction, predict
-from servo_bench.rig import ModbusDriveConfig, RigConfig
+from servo_bench.rig import RigConfig
 from servo_bench.run.axes import axis_settings
 from servo_bench.run.finding import Finding, change, note, ok, stop
 from servo_bench.run.limits import check_schedule

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from drivers.canopen.master import CanopenAxis
 from servo_bench.clock import NS_PER_S
+from servo_bench.devices import ModbusDriveConfig, SerialEncoderConfig
 from servo_bench.errors import BenchError, ConfigError, gathered
 from servo_bench.excitation.experiment import Experiment
 from servo_bench.recording.provenance import clock_pair, provenance
@@ -27,7 +28,7 @@ from servo_bench.recording.recording import (
     recording_from_rows,
 )
 from servo_bench.recording.writer import RecordingWriter
-from servo_bench.rig import ModbusDriveConfig, RigConfig, SerialEncoderConfig
+from servo_bench.rig import RigConfig
 from servo_bench.run.busloop import player_for
 from servo_bench.run.limits import check_schedule
 from servo_bench.run.session import check_memory

@@ -1,7 +1,7 @@
 """From findings to a verdict, and what is told beside it.
 
 verdict               the public schema
-judgement             named, none, or unknown; intervals, confidence, limits
+judgement, intervals  named, none, or unknown; how sure, and the limits
 steadiness, sensors   causes that change meanwhile; channels that are not what they say
 undecided             what a recording cannot tell, and which run would
 picture, locking      the error without a model of its cause: when, where, locked to what

@@ -6,9 +6,7 @@
               cause is not as large at the recording's end as it was at its beginning
     none      neither
 
-Intervals come from the block sandwich (`uncertainty`), because errors of a wrong model hang
-together, and from what the laws themselves may miss (`quantities`). Confidence was calibrated on
-trials of another plant.
+Numbers have their intervals from `intervals`. Confidence was calibrated on trials of another plant.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,24 +18,23 @@ from servo_bench.diagnosis.comparing.evidence import block_z
 from servo_bench.diagnosis.comparing.rounding import floor_of
 from servo_bench.diagnosis.comparing.rows import Array, Mask
 from servo_bench.diagnosis.fitting.free import unit_of
+from servo_bench.diagnosis.judging.intervals import limits_of, names_of, quantities, standard_errors
 from servo_bench.diagnosis.judging.sensors import misread
 from servo_bench.diagnosis.judging.steadiness import CHANGES, slope_of
 from servo_bench.diagnosis.judging.verdict import (
     Cause,
     ErrorFigures,
     Kind,
-    Limit,
     Quantity,
     Verdict,
 )
 from servo_bench.diagnosis.searching.classes import class_of, splitting
 from servo_bench.diagnosis.searching.coasting import given_back, is_coasting, slowing_rad_s2
 from servo_bench.diagnosis.searching.finding import Finding
-from servo_bench.diagnosis.searching.gate import RIGHT, material_sizes
-from servo_bench.diagnosis.searching.hypotheses import DETECTED, Scales
+from servo_bench.diagnosis.searching.gate import RIGHT
+from servo_bench.diagnosis.searching.hypotheses import DETECTED
 from servo_bench.diagnosis.searching.joint import Named
 from servo_bench.diagnosis.searching.readying import order_tolerance
-from servo_bench.diagnosis.searching.seeking import Found
 from sim_rig.effects import find_effect
 from sim_rig.model import Model
 
@@ -47,16 +44,12 @@ exact: of what is far off, a fortieth may be left."""
 SURE = 6.0
 """A strength of fewer standard errors is no cause, because a sandwich of few blocks is too sure;
 unless what it gains, seen and held out, stands that far beyond chance."""
-SPREAD, OWN_SHARE, KIND_SHARE = 2.0, 0.02, 0.25
-"""Set on 43 named causes of development seeds of tests/truth, of which 95 % were covered."""
 UNSURE = 0.79
 """Confidence up to which a cause has no name: of 201 that were named on development seeds the three
 that had less were wrong, and of those that were right none had."""
 FEWEST_WILD = 3
 FEWEST_LOST = 2
 FULL_TURN = 2.0 * np.pi
-DETECTION = np.sqrt(20.9)
-"""Standard deviations of a size that is seen nine times in ten at a false alarm of 1e-3 (df 1)."""
 
 
 def verdict_of(finding: Finding) -> Verdict:
@@ -84,7 +77,7 @@ def verdict_of(finding: Finding) -> Verdict:
         sentence=_sentence(kind, named, strange, error, told),
         causes=named,
         error=error,
-        limit=tuple(_limits(finding, named)),
+        limit=tuple(limits_of(finding, named)),
         notes=tuple(notes) + strange,
         undecided=tuple(_undecided(finding)),
         next_run=next((c.splitting_experiment for c in named if c.splitting_experiment), ""),
@@ -124,7 +117,7 @@ def _unsteady(finding: Finding) -> Iterator[str]:
     for effect in dict.fromkeys(n.effect for n in finding.named):
         strength = find_effect(effect).strengths[0]
         name = f"{effect}.{strength}"
-        if effect in CHANGES or name not in _names(finding.final):
+        if effect in CHANGES or name not in names_of(finding.final):
             continue
         slope = slope_of(finding.final, name)
         if slope.is_there:
@@ -157,7 +150,7 @@ def _explained(finding: Finding) -> bool:
 
 def _causes(finding: Finding) -> Iterator[Cause]:
     numbers = quantities(finding.final, finding.scales)
-    known = dict(zip(_names(finding.final), standard_errors(finding.final), strict=True))
+    known = dict(zip(names_of(finding.final), standard_errors(finding.final), strict=True))
     for one in finding.named:
         name = f"{one.effect}.{find_effect(one.effect).strengths[0]}"
         own = one.missed_z is None  # what carried another has no advantage of its own round
@@ -246,86 +239,6 @@ def confidence(evidence: float, over_rival: float | None, screened_gain: float) 
     foretold = min(max(screened_gain, 0.0), 0.5)
     score = 0.3 + 0.12 * lead + 0.06 * min(evidence, 20.0) + 2.0 * foretold
     return float(1.0 / (1.0 + np.exp(-score)))
-
-
-def quantities(found: Found, scales: Scales) -> dict[str, Quantity]:
-    """Every fitted number with its interval.
-
-    The sandwich tells what noise and this record leave open, as if the laws were exact. They are
-    not: a standard error is `SPREAD` sandwiches, a share of the number's own size, and a share of
-    what every rig has of its kind beside its drawing (`material_sizes`), in quadrature.
-    """
-    kinds = material_sizes(scales)
-    numbers = {}
-    for unknown, value, deviation in zip(
-        found.unknowns, found.values, standard_errors(found), strict=True
-    ):
-        widest = 1e6 * max(abs(float(value)), unknown.step)
-        reached = min(float(deviation), widest) if np.isfinite(deviation) else widest
-        strength = find_effect(unknown.effect).strengths[0]
-        kind = kinds.get(unknown.effect, 0.0) if unknown.field == strength else 0.0
-        own = 1.0 if unknown.circular else float(value)
-        error = float(np.linalg.norm([SPREAD * reached, OWN_SHARE * own, KIND_SHARE * kind]))
-        numbers[unknown.name] = Quantity(
-            value=float(value),
-            unit=unit_of(unknown.field),
-            ci95=(float(value) - 1.96 * error, float(value) + 1.96 * error),
-            standard_error=error,
-        )
-    return numbers
-
-
-def _names(found: Found) -> list[str]:
-    return [u.name for u in found.unknowns]
-
-
-def standard_errors(found: Found) -> Array:
-    """Block sandwich, shape (numbers,); see `uncertainty`."""
-    white = found.errors.white(found.sigma)
-    beyond = 1.0 + (white / 2.0) ** 2
-    rows = found.jacobian
-    curvature = rows.T @ (rows * (beyond**-1.5)[:, None])
-    precision = np.diag([u.deviation**-2.0 for u in found.unknowns])
-    group = np.tile(found.errors.group, found.errors.rows.shape[0])
-    blocks = int(group.max(initial=0)) + 1
-    scores = rows * (white / np.sqrt(beyond))[:, None]
-    sums = np.stack([np.bincount(group, column, blocks) for column in scores.T], axis=1)
-    meat = sums.T @ sums * (blocks / max(blocks - len(found.unknowns), 1))
-    inverse = _inverse(curvature + precision)
-    return np.sqrt(np.maximum(np.diag(inverse @ (meat + precision) @ inverse), 0.0))
-
-
-def _inverse(matrix: Array) -> Array:
-    size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    size = np.where(size > 0.0, size, 1.0)  # what changes nothing has no curvature
-    scaled = matrix / np.outer(size, size)
-    values, vectors = np.linalg.eigh(scaled)
-    wide = np.maximum(values, 1e-10 * max(float(values[-1]), 1e-10))
-    return np.asarray((vectors / wide) @ vectors.T / np.outer(size, size))
-
-
-def cramer_rao(found: Found) -> Array:
-    """Least standard deviations of an unbiased estimate at the errors that are left; (numbers,)."""
-    return np.sqrt(np.maximum(np.diag(_inverse(found.jacobian.T @ found.jacobian)), 0.0))
-
-
-def _limits(finding: Finding, causes: Sequence[Cause]) -> Iterator[Limit]:
-    names = _names(finding.final)
-    bound, reached = cramer_rao(finding.final), standard_errors(finding.final)
-    for cause in causes:
-        strength = find_effect(cause.effect).strengths[0]
-        name = f"{cause.effect}.{strength}"
-        if name not in names:
-            continue
-        k = names.index(name)
-        yield Limit(
-            effect=cause.effect,
-            parameter=strength,
-            unit=unit_of(strength),
-            detectable=float(DETECTION * reached[k]),
-            cramer_rao=float(bound[k]),
-            ratio=float(reached[k] / bound[k]) if bound[k] > 0.0 else None,
-        )
 
 
 def _error(finding: Finding, model: Model) -> ErrorFigures | None:

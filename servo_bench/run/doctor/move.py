@@ -20,11 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.canopen.settings import CanopenSettings
+from servo_bench.devices import AnyEncoderConfig, SecondEncoderConfig
 from servo_bench.errors import BenchError
 from servo_bench.excitation.experiment import Experiment, MSequence, Phase, RandomBinary
 from servo_bench.recording.mcap_file import load
 from servo_bench.recording.recording import Recording
-from servo_bench.rig import AnyEncoderConfig, RigConfig, SecondEncoderConfig
+from servo_bench.rig import RigConfig
 from servo_bench.run.axes import axis_settings
 from servo_bench.run.doctor import canopen
 from servo_bench.run.finding import Finding, change, note, ok, stop

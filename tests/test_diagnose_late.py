@@ -1,5 +1,7 @@
 """What was too little for a name, asked once more beside a load that coasts."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -8,8 +10,8 @@ from servo_bench.diagnosis.searching.coasting import coasting, is_coasting
 from servo_bench.diagnosis.searching.finding import find_causes, nothing_told
 from servo_bench.diagnosis.searching.hypotheses import hypotheses, scales_of
 from servo_bench.diagnosis.searching.joint import Named
-from servo_bench.diagnosis.searching.late import Late, asked_again
-from servo_bench.diagnosis.searching.seeking import seek
+from servo_bench.diagnosis.searching.late import Late, asked_again, asked_late
+from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unknowns import nuisances
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, PERIOD_S, recorded
@@ -26,15 +28,19 @@ SOFT = MODEL.with_effect(
 )
 
 
-def again(hidden: Model, seed: int, asked: frozenset[str] = ASKED) -> list[Named] | None:
+def lately(hidden: Model, seed: int, only: Sequence[str]) -> tuple[Late, Found]:
+    """Everything that was recorded, and the fit without a cause."""
     run = recorded(hidden, seed, slots=800)
     seen = evidence_of([run], MODEL, block="loop")
     commands = np.asarray(run["velocity_command_rad_s"])
     scales = scales_of(MODEL, commands, MODEL.simulate(commands, PERIOD_S))
     band = nuisances(scales.rig_torque_nm, scales.speed_rad_s, scales.gap_rad)
     plain = seek(seen, MODEL, band, iterations=3)
-    late = Late(seen, seen, hypotheses(scales, only=[COUPLING]), scales, band, nothing_told)
-    found = asked_again(late, plain, asked)
+    return Late(seen, seen, hypotheses(scales, only=only), scales, band, nothing_told), plain
+
+
+def again(hidden: Model, seed: int, asked: frozenset[str] = ASKED) -> list[Named] | None:
+    found = asked_again(*lately(hidden, seed, [COUPLING]), asked)
     return None if found is None else found[1]
 
 
@@ -55,6 +61,15 @@ def test_a_coupling_that_hides_behind_a_load_that_coasts_is_named() -> None:
     assert [n.effect for n in found.named] == [COUPLING]
     assert is_coasting(found.final.model)
     assert found.absorbed == ()
+
+
+@pytest.mark.parametrize("only", [("thermal_friction",), ("thermal_friction", "coulomb")])
+def test_constant_friction_is_not_called_one_that_warms(only: tuple[str, ...]) -> None:
+    """In seven seconds of ten minutes they are alike: the plain one is asked beside it, and nothing
+    that the rounds had asked is named here."""
+    late, plain = lately(MODEL.with_effect("coulomb", torque_nm=6e-3), 66, only)
+    found = asked_late(late, plain, (), frozenset())
+    assert (found is None) == ("coulomb" in only)
 
 
 @pytest.mark.parametrize(("seed", "slowed_rad_s2"), [(62, 350.0), (63, 1200.0)])

@@ -46,7 +46,12 @@ from servo_bench.diagnosis.searching.gate import (
     passes,
     passes_slowly,
 )
-from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Scales, hypotheses
+from servo_bench.diagnosis.searching.hypotheses import (
+    ON_THE_LOAD,
+    Hypothesis,
+    Scales,
+    hypotheses,
+)
 from servo_bench.diagnosis.searching.joint import (
     Named,
     fit_jointly,
@@ -305,6 +310,11 @@ def _in_round(number: int, report: Told) -> Told:
     return lambda what: report(f"round {number}: {what}")
 
 
+def _is_lower(one: Found, other: Found) -> bool:
+    """Whether what a load that coasts brought about is better than neither."""
+    return one.errors.cost(one.sigma) < other.errors.cost(one.sigma)
+
+
 def _rounds(
     quick: Evidence,
     base: Found,
@@ -312,15 +322,16 @@ def _rounds(
     scales: Scales,
     report: Told,
 ) -> tuple[Found, list[Named], list[str], list[Round], list[Round]]:
-    """Base, causes, what is too small for a name, all rounds, and those after the last cause."""
+    """Base, causes, what is too small for a name, all rounds, and those after the last cause.
+
+    Beside a cause, a load that coasts in its gap is put into the base of a round: a spring would
+    stand in for it. What gives a load a motion of its own is asked without that, in a round after.
+    """
     now, named, absorbed, rounds = base, list[Named](), list[str](), list[Round]()
-    failed = list[Round]()
-    open_, sizes, turns = list(candidates), material_sizes(scales), list[set[str]]()
+    failed, turns, beside = list[Round](), list[set[str]](), base
+    open_, sizes = list(candidates), material_sizes(scales)
+    asked = open_
     for number in range(MOST_ROUNDS):
-        beside = with_coasting(quick, now) if named else now
-        kept = OTHERWISE if is_coasting(beside.model) else frozenset[str]()
-        out = kept.union(*turns)
-        asked = [h for h in open_ if h.effect not in out]
         if not asked or len(named) == MOST_CAUSES:
             break
         missed = float(misfit(quick, beside.errors).max())
@@ -331,16 +342,22 @@ def _rounds(
         rounds.append(played)
         failed.append(played)
         accepted = accepted_of(played, len(named), right=right)
-        if accepted is None:
-            if missed < RIGHT or not played.contenders or len(turns) == TURNS:
-                break
+        if accepted is not None and (beside is now or _is_lower(accepted.found, now)):
+            one = Named(accepted.effect, played, accepted, own_unknowns(accepted, accepted.effect))
+            worth = worth_a_name(one, accepted.found, scales)
+            named += worth
+            absorbed += [] if one in worth else [one.effect]
+            now, turns, failed = accepted.found, [], []
+            beside = with_coasting(quick, now) if named else now
+            # of a class one is enough: two would share among them what nobody can tell apart
+            open_ = [h for h in open_ if h.effect not in class_of(accepted.effect)]
+            out = OTHERWISE if is_coasting(beside.model) else frozenset[str]()
+            asked = [h for h in open_ if h.effect not in out]
+        elif beside is not now:
+            beside, asked = now, [h for h in open_ if h.effect in ON_THE_LOAD]
+        elif missed < RIGHT or not played.contenders or len(turns) == TURNS:
+            break
+        else:
             turns.append({c.effect for c in played.contenders})
-            continue
-        one = Named(accepted.effect, played, accepted, own_unknowns(accepted, accepted.effect))
-        worth = worth_a_name(one, accepted.found, scales)
-        named += worth
-        absorbed += [] if one in worth else [one.effect]
-        now, turns, failed = accepted.found, [], []
-        # of a class one is enough: two would share among them what nobody can tell apart
-        open_ = [h for h in open_ if h.effect not in class_of(accepted.effect)]
+            asked = [h for h in asked if h.effect not in turns[-1]]
     return now, named, absorbed, rounds, failed

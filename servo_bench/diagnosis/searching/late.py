@@ -103,11 +103,13 @@ def asked_late(
     slow = SLOW | BEHIND if is_coasting(final.model) else SLOW
     unsure_of = open_ - slow - (OTHERWISE if is_coasting(final.model) else frozenset())
     out = frozenset().union(*(class_of(n.effect) for n in named))
-    plain = frozenset(REFINES[effect] for effect in slow & REFINES.keys())
-    asked = [h for h in late.candidates if h.effect in (slow | plain | unsure_of) - out]
+    rivals = frozenset(REFINES[effect] for effect in slow & REFINES.keys()) - unsure_of
+    asked = [h for h in late.candidates if h.effect in (slow | rivals | unsure_of) - out]
 
     def is_able(one: Contender) -> bool:
-        return passes_slowly(one) and (one.effect not in unsure_of or promises(one))
+        """What was asked before, of as much as shows it, is a rival here and no more."""
+        known = one.effect in rivals or (one.effect in unsure_of and not promises(one))
+        return passes_slowly(one) and not known
 
     found = _play_late_round(late, final, asked, is_able)
     return found or (None if named else play_gap(late.whole, final, late.candidates, late.scales))

@@ -147,8 +147,11 @@ def test_a_picture_is_drawn_of_the_figures(tmp_path: Path) -> None:
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     draw(found, tmp_path / "picture.png")
     assert imread(tmp_path / "picture.png").shape[1] > 600
-    draw(summary([], {}), tmp_path / "empty.png")
-    assert not (tmp_path / "empty.png").exists()
+    pairs = [line for line in lines if line["question"]["kind"] == "pair"]
+    assert pairs
+    for none in ([], pairs):
+        draw(summary(none, {}), tmp_path / "empty.png")
+        assert not (tmp_path / "empty.png").exists()
 
 
 def test_the_command_line_says_what_is_wrong_with_it(

@@ -29,9 +29,12 @@ Group = Mapping[str, Any]
 
 
 def draw(campaign: Mapping[str, Any], path: Path) -> None:
-    """Write a PNG for the first set of channels that the campaign has; nothing without trials."""
+    """Write a PNG for the first set of channels that the campaign has.
+
+    Nothing without trials, or of pairs alone, which have no row.
+    """
     channels: Channels | None = next((c for c in ("all", "load") if c in campaign), None)
-    if channels is None:
+    if channels is None or not campaign[channels]["confusion"]:
         return
     group = campaign[channels]
     confusion = group["confusion"]

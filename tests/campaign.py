@@ -2,6 +2,7 @@
 
     python -m tests.campaign --json OUT.json --seeds 10 --nulls 300 --outside 150 --pairs 30
     python -m tests.campaign --json OUT.json --multiple 2 --multiple 4 --multiple 8 --seeds 10
+    python -m tests.campaign --json OUT.json --wide ...       in rigs and runs unlike the others'
     python -m tests.campaign --json OUT.json --resume ...          goes on where it was killed
     python -m tests.campaign --json OUT.json --scheduler tcp://HOST:8786 ...     on a Dask cluster
 
@@ -98,6 +99,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--period-s", type=float, default=PERIOD_S)
     parser.add_argument("--measured", action="store_true", help="handed over as imported CSV")
+    parser.add_argument("--wide", action="store_true", help="in rigs and runs unlike the others'")
     parser.add_argument("--forced", action="store_true", help="fit the true causes too: two fits")
     parser.add_argument("--jobs", type=int, help="processes (default: one a core)")
     parser.add_argument("--scheduler", help="tcp://HOST:PORT of a Dask scheduler")
@@ -122,6 +124,7 @@ def main(arguments: list[str] | None = None) -> int:
         seconds=options.seconds,
         period_s=options.period_s,
         measured=options.measured,
+        wide=options.wide,
     )
     out, began_s = options.json, time.monotonic()
     try:

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +103,19 @@ def test_a_faster_encoder_holds_each_chip(tmp_path: Path) -> None:
     assert seen.period_s == 0.001
     commands = seen["velocity_command_rad_s"][seen["phase"] == Phase.IDENTIFICATION]
     assert (np.diff(commands.reshape(-1, 8), axis=1) == 0.0).all()
+
+
+def test_a_wide_trial_is_drawn_from_far_more_and_is_the_same_each_time(tmp_path: Path) -> None:
+    asked = [quick(seed=seed, wide=True, seconds=20.0) for seed in range(1001, 1031)]
+    plans = [question.plan for question in asked]
+    assert plans == [replace(question).plan for question in asked]
+    assert {p.seen.period_s for p in plans} == {p.held_out.period_s for p in plans}
+    assert len({p.seen.period_s for p in plans}) == 4
+    assert {p.seen.identification.kind for p in plans} == {"m-sequence", "field", "from-recording"}
+    inertias = [question.nominal.inertia_kg_m2 for question in asked]
+    assert max(inertias) > 10.0 * min(inertias)
+    slow = next(q for q in asked if q.plan.seen.period_s == 0.016)
+    assert load(handed_to(tmp_path, slow).seen).period_s == 0.016
 
 
 def test_a_rig_file_says_what_is_nominal_and_nothing_else(tmp_path: Path) -> None:
@@ -221,6 +235,8 @@ def test_time_and_memory_are_the_diagnosis_own(tmp_path: Path) -> None:
         ({"multiple": 4.0}, "limits are those of one named effect"),
         ({"wire": True, "effect": "cogging"}, "the seed alone says what is hidden"),
         ({"bus": "modbus-rtu"}, "Give --wire too"),
+        ({"wide": True, "wire": True}, "draws its own period and rig"),
+        ({"wide": True, "period_s": 0.001}, "draws its own period and rig"),
     ],
 )
 def test_a_question_that_cannot_be_asked_says_why(asked: dict[str, Any], said: str) -> None:

@@ -2,6 +2,7 @@
 
     python -m tests.trial --seed 7                          one effect
     python -m tests.trial --seed 7 --kind none|outside|pair|removed
+    python -m tests.trial --seed 7 --wide                   in a rig and a run unlike the others'
     python -m tests.trial --seed 7 --effect cogging --multiple 4
     python -m tests.trial --seed 7 --channels load          command and load encoder alone
     python -m tests.trial --seed 7 --wire                   recorded by the bench over a real wire
@@ -93,6 +94,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--wire", action="store_true")
     parser.add_argument("--bus", choices=get_args(Bus), default="canopen")
     parser.add_argument("--measured", action="store_true", help="handed over as imported CSV")
+    parser.add_argument("--wide", action="store_true", help="in a rig and a run unlike the others'")
     parser.add_argument("--forced", action="store_true", help="fit the true causes too, afterwards")
     parser.add_argument("--json", type=Path, help="write the trial's line to this file")
     parser.add_argument("--keep", type=Path, help="keep recordings and verdict in this new folder")

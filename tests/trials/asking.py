@@ -34,6 +34,7 @@ class Campaign:
     seconds: float = SECONDS
     period_s: float = PERIOD_S
     measured: bool = False
+    wide: bool = False
 
     def questions(self) -> list[Question]:
         """All trials; ConfigError where a count does not fit into its block of seeds."""
@@ -77,6 +78,7 @@ class Campaign:
             seconds=self.seconds,
             period_s=self.period_s,
             measured=self.measured,
+            wide=self.wide,
         )
 
     def _check(self) -> None:

@@ -6,6 +6,7 @@
     Question(seed=7, kind="pair")                      two at once
     Question(seed=7, kind="removed")                   one, whose names the diagnoser may not use
     Question(seed=7, effect="cogging", multiple=4.0)   so many times the limit of limits.json
+    Question(seed=7, wide=True)                        in a rig and a run unlike all the others'
 
 A question is a value: the same one draws the same trial wherever and whenever it is asked.
 """
@@ -18,13 +19,13 @@ from typing import Any, Literal
 import numpy as np
 
 from servo_bench.errors import ConfigError
-from tests.trials.excitation import Plan, plan
+from tests.trials.excitation import Plan, plan, wide_plan
 from tests.trials.limits import smallest_detectable
 from tests.trials.names import Channels, right_names
 from tests.truth import hidden
 from tests.truth.catalogue import BY_NAME, IN_THE_CATALOGUE, OUTSIDE_THE_CATALOGUE
 from tests.truth.hidden import Sealed
-from tests.truth.rigs import PAPER, NominalRig, drawn
+from tests.truth.rigs import PAPER, NominalRig, drawn, drawn_widely
 
 Kind = Literal["one", "none", "outside", "pair", "removed"]
 Bus = Literal["canopen", "modbus-rtu", "modbus-tcp", "serial-counter"]
@@ -42,7 +43,8 @@ CAN_BE_REMOVED = tuple(hiding.name for hiding in IN_THE_CATALOGUE if not hiding.
 class Question:
     """One trial. `effect` narrows the draw; `multiple` sets its size instead of its range's.
     `measured` ones are handed over as another bench would, without a run's phases; those over a
-    `wire` are recorded through `bus`."""
+    `wire` are recorded through `bus`; a `wide` one draws its rig, its commands and its period from
+    far more than the others do."""
 
     seed: int
     kind: Kind = "one"
@@ -54,6 +56,7 @@ class Question:
     wire: bool = False
     measured: bool = False
     bus: Bus = "canopen"
+    wide: bool = False
 
     def __post_init__(self) -> None:
         """Raises ConfigError for a question that cannot be asked."""
@@ -68,6 +71,11 @@ class Question:
             raise ConfigError(
                 f"multiple = {self.multiple:g}: limits are those of one named effect, recorded "
                 "without a wire. Give kind one and --effect NAME."
+            )
+        if self.wide and (self.wire or self.period_s != PERIOD_S or self.multiple is not None):
+            raise ConfigError(
+                "a wide trial draws its own period and rig, which no wire was set up for and no "
+                "limit was computed on: leave --wire, --period-s and --multiple away."
             )
         if self.wire and self.measured:
             raise ConfigError(
@@ -87,15 +95,18 @@ class Question:
     @cached_property
     def nominal(self) -> NominalRig:
         """The rig's nominal values."""
+        if self.wide:
+            return drawn_widely(self.seed)
         paper = np.random.default_rng((self.seed, 11)).random() < PAPER_SHARE
         return PAPER if paper else drawn(self.seed)
 
     @cached_property
     def plan(self) -> Plan:
         """What is played."""
-        return plan(
-            np.random.default_rng((self.seed, 12)), self.nominal, self.seconds, self.period_s
-        )
+        rng = np.random.default_rng((self.seed, 12))
+        if self.wide:
+            return wide_plan(rng, self.seconds)
+        return plan(rng, self.nominal, self.seconds, self.period_s)
 
     def sealed(self) -> Sealed:
         """What is hidden."""

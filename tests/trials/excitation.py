@@ -8,9 +8,13 @@ hold-out         a record of its own: the other kind of identification, other se
 
 A chip lasts 8 ms. Where the encoder is read faster, a chip is held for several periods and its
 velocities are written out.
+
+`wide_plan` plays what nobody recommends, and many have: one M-sequence, five levels, or uniform
+ones, of 2..12 rad/s every 4 to 16 ms, with no bias or some.
 """
 
 import math
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +24,7 @@ from servo_bench.excitation.experiment import Experiment
 from servo_bench.excitation.sequences import (
     FieldSequence,
     FromRecording,
+    MSequence,
     MultiAmplitude,
     RandomUniform,
 )
@@ -34,6 +39,9 @@ HOLD_OUT_SHARE, SHORTEST_HOLD_OUT_S = 0.4, 4.0
 STANDSTILL_S, LONGEST_LEAD_IN, LONGEST_MEMORY = 2.0, 256, 18
 AMPLITUDES = 3
 KINDS = ("levels", "amplitudes")
+WIDE_KINDS = ("binary", "levels", "uniform")
+WIDE_PERIODS_S, WIDE_RAD_S = (0.004, 0.008, 0.01, 0.016), (2.0, 12.0)
+WIDE_BIAS_RAD_S = (0.0, 0.5, 1.0)
 
 
 class Plan(NamedTuple):
@@ -62,22 +70,34 @@ def plan(rng: np.random.Generator, nominal: NominalValues, seconds: float, perio
     return Plan(_experiment(rng, seen, period_s), _experiment(rng, held, period_s))
 
 
+def wide_plan(rng: np.random.Generator, seconds: float) -> Plan:
+    """The records of a trial that is like none of the others, the first `seconds` long."""
+    period_s = float(rng.choice(WIDE_PERIODS_S))
+    largest_rad_s = float(np.exp(rng.uniform(*np.log(WIDE_RAD_S))))
+    bias_rad_s = float(rng.choice(WIDE_BIAS_RAD_S))
+    kind = str(rng.choice(WIDE_KINDS))
+    held_s = max(HOLD_OUT_SHARE * seconds, SHORTEST_HOLD_OUT_S)
+    seen = _Record("seen", kind, largest_rad_s, bias_rad_s, seconds, period_s)
+    held = _Record("held out", "uniform", 0.8 * largest_rad_s, -bias_rad_s, held_s, period_s)
+    return Plan(_experiment(rng, seen, period_s), _experiment(rng, held, period_s))
+
+
 class _Record(NamedTuple):
     name: str
     kind: str
     amplitude_rad_s: float
     bias_rad_s: float
     seconds: float
+    chip_s: float = CHIP_S
 
 
 def _experiment(rng: np.random.Generator, record: _Record, period_s: float) -> Experiment:
-    name, kind, amplitude_rad_s, bias_rad_s, seconds = record
-    holds = max(round(CHIP_S / period_s), 1)
+    name, kind, amplitude_rad_s, bias_rad_s, seconds, chip_s = record
+    holds = max(round(chip_s / period_s), 1)
     standstill_s = min(STANDSTILL_S, seconds / 10.0)
     chips = round((seconds - standstill_s) / (holds * period_s))
     lead_in = min(LONGEST_LEAD_IN, chips // 16)
-    draw = _levels if kind == "levels" else _amplitudes
-    identification, memory = draw(rng, chips, amplitude_rad_s, bias_rad_s)
+    identification, memory = DRAWS[kind](rng, chips, amplitude_rad_s, bias_rad_s)
     left = chips - lead_in - identification.velocity_rad_s().size
     validation = RandomUniform(
         kind="random-uniform",
@@ -133,12 +153,46 @@ def _amplitudes(
     return sequence, min(LONGEST_MEMORY, chips // 32, collision_free_memory(polynomial, 3))
 
 
-Played = FieldSequence | MultiAmplitude | RandomUniform
+def _binary(
+    rng: np.random.Generator, chips: int, amplitude_rad_s: float, bias_rad_s: float
+) -> tuple[MSequence, int]:
+    degree = int(math.log2(IDENTIFICATION_SHARE * chips))
+    candidates = primitive_polynomials(degree)
+    polynomial = oct(int(candidates[int(rng.integers(candidates.size))]))[2:]
+    sequence = MSequence(
+        polynomial=polynomial, amplitude_rad_s=amplitude_rad_s, bias_rad_s=bias_rad_s
+    )
+    return sequence, min(LONGEST_MEMORY, chips // 32, collision_free_memory(polynomial, 3))
 
 
-def _held(sequence: Played, holds: int) -> Played | FromRecording:
+def _uniform(
+    rng: np.random.Generator, chips: int, amplitude_rad_s: float, bias_rad_s: float
+) -> tuple[FromRecording, int]:
+    sequence = RandomUniform(
+        kind="random-uniform",
+        seed=int(rng.integers(1 << 31)),
+        amplitude_rad_s=amplitude_rad_s,
+        length=int(IDENTIFICATION_SHARE * chips),
+        bias_rad_s=bias_rad_s,
+    )
+    return _written_out(sequence, 1), min(LONGEST_MEMORY, chips // 32)
+
+
+Played = FieldSequence | MSequence | MultiAmplitude | RandomUniform | FromRecording
+Draw = Callable[[np.random.Generator, int, float, float], tuple[Played, int]]
+DRAWS: Mapping[str, Draw] = {
+    "levels": _levels,
+    "amplitudes": _amplitudes,
+    "binary": _binary,
+    "uniform": _uniform,
+}
+
+
+def _held(sequence: Played, holds: int) -> Played:
     """Each chip for so many periods."""
-    if holds == 1:
-        return sequence
+    return sequence if holds == 1 else _written_out(sequence, holds)
+
+
+def _written_out(sequence: Played, holds: int) -> FromRecording:
     velocities = np.repeat(np.round(sequence.velocity_rad_s(), 6), holds)
     return FromRecording(commands_rad_s=tuple(velocities.tolist()))

@@ -19,7 +19,7 @@ from sim_rig.effects import backlash_width
 from sim_rig.errors import EffectError
 from sim_rig.model import Model
 
-WRONG, ASKED, RIGHT, BEHIND = 0.5, 0.15, 1.0, 2.0
+WRONG, ASKED, RIGHT, OF_THE_LOAD = 0.5, 0.15, 1.0, 2.0
 """Misfit of the twist from which on coasting is told, and while a cause may yet be found beside it
 asked; of the rest up to which; and of the load's own angle, which is the twist's where the motor is
 right."""
@@ -156,11 +156,10 @@ def _only_the_twist(whole: Evidence, final: Found, least: float) -> bool:
     """Whether the twist misses so much, and nothing before the gap more than it may."""
     missed = misfit(whole, final.errors)
     twist, load = (
-        np.array([name.startswith(behind) for name in whole.names]) for behind in ("twist", "load")
+        np.array([name.startswith(angle) for name in whole.names]) for angle in ("twist", "load")
     )
     if not twist.any():
         return False
     before = missed[~(twist | load)].max(initial=0.0)
-    return bool(
-        missed[twist].max() > least and before < RIGHT and missed[load].max(initial=0.0) < BEHIND
-    )
+    most = missed[load].max(initial=0.0)
+    return bool(missed[twist].max() > least and before < RIGHT and most < OF_THE_LOAD)

@@ -25,7 +25,7 @@ SLOWED_RAD_S2 = 350.0
 
 def searched(hidden: Model, seed: int) -> tuple[Evidence, Found]:
     seen = evidence_of([recorded(hidden, seed, slots=1500)], MODEL, block="loop")
-    band = nuisances(0.05, 3.0, NOMINAL.backlash_gap_rad)
+    band = nuisances(0.05, NOMINAL.backlash_gap_rad)
     return seen, seek(seen, MODEL, band, iterations=3)
 
 

@@ -25,7 +25,7 @@ from tests.fit_recordings import NOMINAL, recorded
 
 MODEL = Model(NOMINAL)
 LAG_S = 4e-4
-BAND = nuisances(0.05, 3.0, NOMINAL.backlash_gap_rad)
+BAND = nuisances(0.05, NOMINAL.backlash_gap_rad)
 LAGS = ("current_loop_lag", "lag_s"), ("transport_delay", "delay_s")
 FRICTION_NM, FACE_RAD_PER_NM = 4e-3, 2e-3
 

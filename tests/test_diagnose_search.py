@@ -325,7 +325,7 @@ def test_what_the_base_had_left_to_gain_is_no_contenders_merit() -> None:
     """The base's open numbers are far from what is hidden; nothing repeats with the shaft."""
     hidden = MODEL.with_effect("coulomb", torque_nm=3e-3).with_effect("viscous", **DAMPED)
     seen = evidence_of([recorded(hidden, 27, slots=500)], MODEL)
-    base = seek(seen, MODEL, nuisances(0.05, 3.0, NOMINAL.backlash_gap_rad), iterations=0)
+    base = seek(seen, MODEL, nuisances(0.05, NOMINAL.backlash_gap_rad), iterations=0)
     tried = hypotheses(SCALES, only=("encoder_eccentricity", "misalignment"))
     played = play_round(seen, base, tried, {}, nothing_told, least=-1.0)
     assert played.contenders
@@ -340,7 +340,7 @@ def test_with_more_numbers_no_search_ends_higher_than_the_base() -> None:
     """The contender's search began far off in the numbers that both have, and was stopped there."""
     hidden = MODEL.with_effect("coulomb", torque_nm=3e-3).with_effect("viscous", **DAMPED)
     seen = evidence_of([recorded(hidden, 28, slots=500)], MODEL)
-    open_ = nuisances(0.05, 3.0, NOMINAL.backlash_gap_rad)
+    open_ = nuisances(0.05, NOMINAL.backlash_gap_rad)
     rested = seek(seen, MODEL, open_, seen.allowed, iterations=4)
     start = MODEL.with_effect("cogging", torque_nm=1e-3, order=ORDER)
     own = widened("cogging", ("torque_nm", "phase_rad"), start, 1e-3)

@@ -13,7 +13,7 @@ from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, PERIOD_S, recorded
 
 MODEL = Model(NOMINAL)
-BAND = nuisances(0.05, 3.0, NOMINAL.backlash_gap_rad)
+BAND = nuisances(0.05, NOMINAL.backlash_gap_rad)
 NAME, SLOTS = "torque_constant_error.error_fraction", 1200
 DROP, WARMING_S = 0.2, 8.0
 

@@ -2,9 +2,9 @@
 
 A load with a mass meets a face many times a second, and each bounce begins where the last one
 ended: a face that is twice as stiff, or takes half as much of a blow, leaves the motor as it is and
-sends the load elsewhere in its gap. The contact of the catalogue is linear and real ones are not
-(Hertz, Hunt and Crossley), so no numbers of it are right for every blow. What such a factor changes
-is therefore no sign of a wrong cause.
+sends the load elsewhere in its gap, one that only coasts as well. The contact of the catalogue is
+linear and real ones are not (Hertz, Hunt and Crossley), so no numbers of it are right for every
+blow. What such a factor changes is therefore no sign of a wrong cause.
 """
 
 from collections.abc import Collection
@@ -14,7 +14,6 @@ import numpy as np
 
 from servo_bench.diagnosis.comparing.evidence import Evidence, changed_by
 from servo_bench.diagnosis.comparing.rows import Array
-from servo_bench.diagnosis.searching.coasting import is_coasting
 from servo_bench.diagnosis.searching.hypotheses import VEHICLE
 from servo_bench.diagnosis.searching.seeking import Found, seek, settle
 from sim_rig.model import Model
@@ -61,7 +60,7 @@ def bounces(whole: Evidence, model: Model) -> Array:
     """Robust change of every signal by other faces, the largest of four, within `MOST`; zeros
     without a load of its own. Shape (signals,).
     """
-    if VEHICLE not in model.effects or is_coasting(model):
+    if VEHICLE not in model.effects:
         return np.zeros(len(whole.names))
     params = model.effects[VEHICLE]._asdict()
     others = [

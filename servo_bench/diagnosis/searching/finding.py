@@ -67,6 +67,7 @@ from servo_bench.diagnosis.searching.late import (
     hidden_by_coasting,
     unsure,
 )
+from servo_bench.diagnosis.searching.lighter import on_a_light_load
 from servo_bench.diagnosis.searching.readying import (
     filled_again,
     heard_after_all,
@@ -181,6 +182,7 @@ def find_causes(
         whole = evidence_of(recordings, final.model, block=block)
         final, named = fit_jointly(whole, final, named, band, report)
     final, named = run_off(whole, final, named, band, report)
+    final, named = on_a_light_load(whole, final, named, band, report)
     plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
     before = misfit(whole, plain.errors)
     late = Late(quick, whole, candidates, scales, band, report)
@@ -215,7 +217,7 @@ def find_causes(
         final=final,
         whole=whole,
         named=tuple(named),
-        absorbed=tuple(e for e in absorbed if all(e != n.effect for n in named)),
+        absorbed=_absorbed(absorbed, named, final),
         lost=lost,
         lattice=grid,
         motor_lines=motor.torque,
@@ -250,6 +252,12 @@ def _worth_telling(
     small = [n.effect for n in named if not (coasts or is_noted(n.effect, before))]
     small += [n.effect for n in noted if not is_worth_it(n, final, scales)]
     return [n for one in noted for n in worth_a_name(one, final, scales)], small
+
+
+def _absorbed(effects: Sequence[str], named: Sequence[Named], final: Found) -> tuple[str, ...]:
+    """Of what was too small for a name, what is neither named after all nor told as coasting."""
+    told = {n.effect for n in named} | (OTHERWISE if is_coasting(final.model) else set())
+    return tuple(effect for effect in effects if effect not in told)
 
 
 def _beside(whole: Evidence, model: Model, scales: Scales, grid: Lattice | None) -> Array:

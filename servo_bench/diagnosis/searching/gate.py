@@ -14,7 +14,7 @@ from servo_bench.diagnosis.comparing.evidence import Errors, Evidence
 from servo_bench.diagnosis.comparing.rows import Array
 from servo_bench.diagnosis.searching.hypotheses import SPRINGS, VEHICLE, Scales
 from servo_bench.diagnosis.searching.rounds import Contender
-from servo_bench.diagnosis.searching.unknowns import MASS
+from servo_bench.diagnosis.searching.unknowns import MASS, USUAL_RAD_S
 from sim_rig.effects import find_effect
 from sim_rig.model import Model
 
@@ -32,13 +32,20 @@ LINES = frozenset({"cogging", "torque_ripple"})
 """A line at an order of the shaft is like nothing else, so that their sizes are low: from little
 more than what every rig of the trials has beside its drawing (0.13 mN m) to six times that, by the
 rig's torque. Half of them is not enough."""
+FRICTION = "load_friction"
 WITHIN = frozenset(
-    {"coulomb", "viscous", "current_loop_lag", "velocity_filter_lag", "transport_delay"}
+    {
+        "coulomb",
+        "viscous",
+        "current_loop_lag",
+        "velocity_filter_lag",
+        "transport_delay",
+        FRICTION,
+    }
 )
-"""What is free in every fit up to nearly such a size: half of it is what every rig has, however
-much its shape may gain where little is wrong. So is a gap, but a little of that is a cause (`gap`).
+"""What every rig has up to nearly such a size: half of it is no cause, however much its shape may
+gain where little is wrong. So is a gap, but a little of that is one (`gap`).
 """
-
 
 WARMING, FORETOLD_Z = frozenset({"thermal_torque_constant"}), 10.0
 """What is held out comes last, and has most of it. Of friction another speed would do the same."""
@@ -49,7 +56,7 @@ def material_sizes(s: Scales) -> dict[str, float]:
     tau, gap = s.rig_torque_nm, s.gap_rad
     return {
         "coulomb": 0.045 * tau,
-        "viscous": 0.0055 * tau / s.speed_rad_s,
+        "viscous": 0.0055 * tau / USUAL_RAD_S,
         "stribeck": 0.03 * tau,
         "pre_sliding": 0.08 * tau,
         "asymmetric_friction": 0.01 * tau,
@@ -100,7 +107,7 @@ def is_material(model: Model, effect: str, scales: Scales, held_gain: float = 0.
     is more than what every fit has free.
     """
     sizes = material_sizes(scales)
-    if effect == VEHICLE and strength_of(model, "load_friction") > HALF * sizes["load_friction"]:
+    if effect == VEHICLE and strength_of(model, FRICTION) >= sizes[FRICTION]:
         return is_felt(model)  # its mass is the cause, and what gives way is beside
     if effect in SPRINGS and held_gain < GIVE:
         return False

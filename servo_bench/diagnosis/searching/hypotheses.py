@@ -59,8 +59,9 @@ LITTLE = 0.005
 SPRINGS = frozenset({"contact", "coupling_compliance"})
 CROSSING_DELAYS_S = (2e-5, 5e-5, 1e-4)
 """Of a usual rig's command, that a clock which falls behind takes away (see `crossing`)."""
-USUAL_RAD_S, USUAL_CHIP_S, USUAL_CHIPS = 3.0, 0.008, 512
-"""Of an excitation that tells causes apart: velocities anywhere between, a new one every chip."""
+USUAL_TORQUE_NM, LIGHTEST = 0.036, 0.4
+"""Rms torque of a usual excitation on a rig of a hundred watts, a tenth of its rated one; and the
+share of such a rig's inertia below which what it has of its own is no less."""
 DETECTED = frozenset({"missed_samples", "quantisation"})
 """Found by looking for them in the data (`hygiene`), not by trying sizes."""
 
@@ -79,13 +80,17 @@ class Scales(NamedTuple):
     inertia_kg_m2: float
     peaks_a: tuple[float, ...] = ()
     seconds: float = 0.0
-    usual_torque_nm: float = 0.0
 
     @property
     def rig_torque_nm(self) -> float:
-        """Rms torque of this excitation, or of a usual one where this is gentler: what a bearing
-        or a motor has of its own does not shrink with what is asked of it."""
-        return max(self.torque_nm, self.usual_torque_nm)
+        """What friction and magnets have of their own is measured in: it goes with what a motor is
+        rated for, and not with what this excitation asks of it.
+
+        A family of motors has its torque as the cube of its size and its inertia as the fifth
+        power. Coupling, bearings and encoder are the bench's, and no smaller on a lighter motor.
+        """
+        size = self.inertia_kg_m2 / USUAL_INERTIA_KG_M2
+        return float(USUAL_TORQUE_NM * max(size, LIGHTEST) ** 0.6)
 
     @property
     def yielding(self) -> float:
@@ -121,18 +126,7 @@ def scales_of(model: Model, commands_rad_s: np.ndarray, done: Simulated) -> Scal
         gap_rad=nominal.backlash_gap_rad,
         inertia_kg_m2=nominal.inertia_kg_m2,
         seconds=done.end.time_s,
-        usual_torque_nm=_usual_torque_nm(model, float(np.abs(commands_rad_s).max())),
     )
-
-
-def _usual_torque_nm(model: Model, largest_rad_s: float) -> float:
-    """Rms torque that the slowest usual excitation asks of the nominal rig, within the velocities
-    that were asked of it: an axis may be a slow one."""
-    most_rad_s = min(USUAL_RAD_S, largest_rad_s)
-    chips = np.random.default_rng(0).uniform(-most_rad_s, most_rad_s, USUAL_CHIPS)
-    done = model.simulate(chips, USUAL_CHIP_S)
-    rms_a = float(np.sqrt(np.mean(done.motor_current_a**2)))
-    return rms_a * model.nominal.torque_constant_nm_per_a
 
 
 def _quantiles(values: np.ndarray, at: Sequence[float]) -> tuple[float, ...]:

@@ -69,7 +69,7 @@ def fit_jointly(
             less = without_effect(whole, final, one.effect, band)
         except EffectError:  # the others need it: a load of the inertia that it adds
             continue
-        if not _needed(final, less):
+        if not is_needed(final, less):
             kept.remove(one)
             final = less
     return final, kept
@@ -90,13 +90,13 @@ def needed_vehicle(
                 continue
             report(f"without {effect}")
             less = without_effect(whole, final, effect, band)
-            if _needed(final, less):
+            if is_needed(final, less):
                 mine = own_unknowns(one.contender, effect)
                 return [Named(effect, one.round, one.contender, mine, _advantage(final, less))]
     return []
 
 
-def _needed(final: Found, less: Found) -> bool:
+def is_needed(final: Found, less: Found) -> bool:
     """Whether a joint fit misses what was taken out of it."""
     share = 1.0 - final.errors.cost(final.sigma) / less.errors.cost(final.sigma)
     return _advantage(final, less) > NEEDED_Z and share > NEEDED_SHARE

@@ -1,8 +1,8 @@
 """What is sought in a fit, and what is believed of it before.
 
 Some numbers of every rig are a little wrong, and no cause worth naming: the nuisances. Each may
-move within a band about zero, sized by the rig itself (tau, omega: rms torque and speed that this
-excitation asks of the nominal rig), and is freed in every fit:
+move within a band about zero, sized by the rig itself (tau: a tenth of its rated torque; omega:
+3 rad/s), and is freed in every fit:
 
     coulomb                 0 .. 4 % of tau            current_loop_lag      0 .. 0.1 ms
     viscous                 0 .. 0.5 % of tau/omega    velocity_filter_lag   0 .. 0.25 ms
@@ -22,11 +22,13 @@ from sim_rig.effects import find_effect
 from sim_rig.model import Model
 
 MASS = "load_inertia_kg_m2"
-USUAL_SHARE, LEAST_SHARE = 0.2, 1e-4
+USUAL_SHARE, LEAST_SHARE = 0.2, 4e-4
 """Of the inertia, behind the gap or the coupling."""
-STIFFEST, FACE, USUAL_INERTIA_KG_M2 = 0.05, ("contact", "compliance_rad_per_nm"), 2.5e-4
+STIFFEST, FACE, USUAL_INERTIA_KG_M2 = 0.25, ("contact", "compliance_rad_per_nm"), 2.5e-4
 """Of the smallest compliance of a face on a rig of a hundred watts: one that is stiffer throws the
 load no other way, and every step of its simulation becomes shorter."""
+USUAL_RAD_S = 3.0
+"""Speed to which the torque of viscous friction is told."""
 WIDE = 30.0
 """So many times the size that is tried is sought, at most, of what has no bound of its own."""
 
@@ -100,10 +102,10 @@ def _value(model: Model, name: str) -> float:
     return float(getattr(model.effects.get(effect, find_effect(effect).params()), field))
 
 
-def nuisances(torque_rms_nm: float, speed_rms_rad_s: float, gap_rad: float) -> tuple[Unknown, ...]:
-    """The bands of every rig, for this excitation."""
-    torque = 0.04 * torque_rms_nm
-    damping = 0.005 * torque_rms_nm / max(speed_rms_rad_s, 1e-9)
+def nuisances(rig_torque_nm: float, gap_rad: float) -> tuple[Unknown, ...]:
+    """The bands of every rig with such a torque."""
+    torque = 0.04 * rig_torque_nm
+    damping = 0.005 * rig_torque_nm / USUAL_RAD_S
     gap = min(1e-3, 0.05 * gap_rad)
     bands = (
         ("coulomb", "torque_nm", 0.0, torque),

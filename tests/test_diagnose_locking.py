@@ -4,7 +4,7 @@ nothing is."""
 import numpy as np
 import pytest
 
-from servo_bench.diagnosis.judging.locking import (
+from servo_bench.diagnosis.comparing.locking import (
     AFTER_ROWS,
     ORDERS,
     after_edges,

@@ -8,15 +8,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from servo_bench.diagnosis.comparing.comparison import Comparison, compare
-from servo_bench.diagnosis.comparing.rounding import floor_of
-from servo_bench.diagnosis.comparing.rows import Array, Mask
-from servo_bench.diagnosis.judging.locking import (
+from servo_bench.diagnosis.comparing.locking import (
     LEAST_PERIODS,
     ORDERS,
     after_edges,
     binned,
     line_shares,
 )
+from servo_bench.diagnosis.comparing.rounding import floor_of
+from servo_bench.diagnosis.comparing.rows import Array, Mask
 from servo_bench.diagnosis.judging.picture import Track
 from servo_bench.diagnosis.searching.finding import Finding
 from servo_bench.diagnosis.searching.rounds import Contender, Round

@@ -6,6 +6,7 @@ noise               the least error that a sensor allows
 comparison          both together; `compare(recording, model)`
 evidence            the same of many recordings, in blocks; `evidence_of(recordings, model)`
 allowance           what a right simulation misses anyway; beside it for uneven slots
-                    (`lateness`), a coarse encoder (`rounding`), a drive's ticks, and a bearing
-                    (`unevenness`)
+                    (`lateness`), a coarse encoder (`rounding`), a drive's ticks, a bearing
+                    (`unevenness`), and torque that is noise in motion alone (`scatter`)
+locking             how much of an error repeats with angle, velocity, commands, or time
 """

@@ -4,7 +4,7 @@ verdict               the public schema
 judgement, intervals  named, none, or unknown; how sure, and the limits
 steadiness, sensors   causes that change meanwhile; channels that are not what they say
 undecided             what a recording cannot tell, and which run would
-picture, locking      the error without a model of its cause: when, where, locked to what
+picture               the error without a model of its cause: when, where, locked to what
 signature, domains    how an effect shows, computed
 extended              the rig with what was found, as TOML
 """

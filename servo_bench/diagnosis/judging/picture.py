@@ -11,14 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_bench.diagnosis.comparing.comparison import Comparison, Signal
-from servo_bench.diagnosis.comparing.rows import Array, Mask
-from servo_bench.diagnosis.judging.locking import (
+from servo_bench.diagnosis.comparing.locking import (
     ORDERS,
     after_edges,
     binned_share,
     drift_share,
     line_shares,
 )
+from servo_bench.diagnosis.comparing.rows import Array, Mask
 from servo_bench.diagnosis.judging.verdict import Line, Signature, Where
 from servo_bench.diagnosis.searching.finding import Finding
 from servo_bench.errors import ConfigError, FitError, RecordingError

@@ -27,6 +27,7 @@ from servo_bench.diagnosis.comparing.comparison import Choice, compare
 from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.comparing.rounding import rounding
 from servo_bench.diagnosis.comparing.rows import Array
+from servo_bench.diagnosis.comparing.scatter import scatter
 from servo_bench.diagnosis.comparing.thinning import rows_to_a_command, thinned
 from servo_bench.diagnosis.comparing.ticks import ticks
 from servo_bench.diagnosis.comparing.unevenness import unevenness
@@ -267,6 +268,7 @@ def _beside(whole: Evidence, model: Model, scales: Scales, grid: Lattice | None)
         unevenness(whole, model, scales.rig_torque_nm),
         ticks(whole, model),
         rounding(whole, grid.quantum_rad if grid is not None else 0.0),
+        scatter(whole, model),
     )
     return np.asarray(np.linalg.norm(beside, axis=0))
 

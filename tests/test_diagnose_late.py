@@ -33,7 +33,7 @@ def lately(hidden: Model, seed: int, only: Sequence[str]) -> tuple[Late, Found]:
     run = recorded(hidden, seed, slots=800)
     seen = evidence_of([run], MODEL, block="loop")
     commands = np.asarray(run["velocity_command_rad_s"])
-    scales = scales_of(MODEL, commands, MODEL.simulate(commands, PERIOD_S))
+    scales = scales_of(MODEL, commands, PERIOD_S)
     band = nuisances(scales.rig_torque_nm, scales.gap_rad)
     plain = seek(seen, MODEL, band, iterations=3)
     return Late(seen, seen, hypotheses(scales, only=only), scales, band, nothing_told), plain

@@ -13,7 +13,7 @@ PERIOD_S = 0.008
 
 def scales(model: Model, most_rad_s: float, seed: int = 3) -> Scales:
     commands = np.random.default_rng(seed).uniform(-most_rad_s, most_rad_s, 400)
-    return scales_of(model, commands, model.simulate(commands, PERIOD_S))
+    return scales_of(model, commands, PERIOD_S)
 
 
 def test_a_harsh_excitation_has_the_bands_of_a_gentle_one() -> None:

@@ -90,7 +90,7 @@ def test_of_a_class_that_rest_tells_apart_both_are_fitted(monkeypatch: pytest.Mo
     run = recorded(rig, 67, slots=600)
     seen = evidence_of([run], MODEL, block="loop")
     commands = np.asarray(run["velocity_command_rad_s"])
-    scales = scales_of(MODEL, commands, MODEL.simulate(commands, run.period_s))
+    scales = scales_of(MODEL, commands, run.period_s)
     asked = hypotheses(scales, only=[*ONE_SIDED, "gravity_imbalance"])
     played = rounds.play_round(seen, seek(seen, MODEL, BAND, iterations=3), asked, {}, nothing_told)
     assert {c.effect for c in played.contenders} == set(ONE_SIDED)
@@ -126,7 +126,7 @@ def test_a_mass_behind_friction_is_a_cause_where_the_motor_feels_it(
 
 def test_a_mass_is_tried_that_the_known_friction_slows_down() -> None:
     rig = MODEL.with_effect("load_friction", torque_nm=FRICTION_NM)
-    scales = scales_of(MODEL, np.ones(64), MODEL.simulate(np.ones(64), 0.008))
+    scales = scales_of(MODEL, np.ones(64), 0.008)
     (contact,) = hypotheses(scales, only=("contact",))
     slowed = [trial for trial in contact.trials if trial.slowed_rad_s2 is not None]
     for trial in slowed:
@@ -210,7 +210,7 @@ def test_what_a_coupling_must_take_goes_with_what_else_gives_way(
     table = {"compliance_rad_per_nm": 3e-3, "load_inertia_kg_m2": 5e-5}
     soft = beside.with_effect("coupling_compliance", **table)
     found = one.found._replace(model=soft)
-    scales = scales_of(MODEL, np.ones(64), MODEL.simulate(np.ones(64), 0.008))
+    scales = scales_of(MODEL, np.ones(64), 0.008)
     assert is_worth_it(Named(one.effect, played, one, ()), found, scales) is worth
 
 

@@ -33,7 +33,7 @@ def rested(
     run = recorded(hidden, seed, slots=SLOTS)
     seen = evidence_of([run], MODEL)
     commands = np.asarray(run["velocity_command_rad_s"])
-    scales = scales_of(MODEL, commands, MODEL.simulate(commands, PERIOD_S))
+    scales = scales_of(MODEL, commands, PERIOD_S)
     band = nuisances(scales.rig_torque_nm, scales.gap_rad)
     band = tuple(u for u in band if band_of in u.effect)
     return seen, seek(seen, MODEL, band, iterations=4), hypotheses(scales), scales

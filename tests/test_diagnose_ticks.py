@@ -5,8 +5,13 @@ import pytest
 
 from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.comparing.ticks import COARSE_S, ticks
+from servo_bench.diagnosis.judging.judgement import verdict_of
+from servo_bench.diagnosis.searching.finding import find_causes
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, PERIOD_S, STANDSTILL, commands, recorded
+from tests.trials.drawing import Question
+from tests.trials.handing import nominal_rig
+from tests.truth import hidden
 
 MODEL = Model(NOMINAL)
 WALKING_FAR = MODEL.with_effect("clock_skew", skew_fraction=5e-5)
@@ -49,3 +54,25 @@ def test_a_delay_is_never_less_than_none_and_the_other_way_still_counts(seen: Ev
     late = WALKING_FAR.with_effect("transport_delay", delay_s=5e-4)
     quick = list(seen.names).index("motor velocity over 48 ms")
     assert ticks(seen, late)[quick] == pytest.approx(ticks(seen, WALKING_FAR)[quick], rel=0.3)
+
+
+@pytest.mark.parametrize(("seed", "seconds"), [(871005, 44.0), (871011, 16.0)])
+def test_a_clock_that_walks_past_a_few_ticks_is_named(seed: int, seconds: float) -> None:
+    """Its delay goes in steps, which a slope would take for a change, and its number is not sure
+    after 16 s: still it takes most of what is wrong."""
+    question, skew = Question(seed=seed, seconds=seconds), hidden.hide(seed, {"clock_skew": -1e-5})
+    seen, held_out = (
+        hidden.record(
+            skew,
+            experiment,
+            question.nominal,
+            take=take,
+            sized_for_rad_s=question.plan.velocity_rad_s,
+        )
+        for take, experiment in enumerate(question.plan[:2])
+    )
+    model = nominal_rig(question.nominal).model()
+    verdict = verdict_of(find_causes([seen], model, held_out=held_out, only=("clock_skew",)))
+    assert verdict.names == ("clock_skew",)
+    low, high = verdict.causes[0].parameters["skew_fraction"].ci95
+    assert low < -1e-5 < high

@@ -169,7 +169,7 @@ def foreseen(experiment: Experiment, model: Model) -> Recording:
 
 def _scales(recording: Recording, model: Model) -> Scales:
     commands = np.array(recording["velocity_command_rad_s"], np.float64)
-    return scales_of(model, commands, model.simulate(commands, recording.period_s))
+    return scales_of(model, commands, recording.period_s)
 
 
 def _at_centre(model: Model, band: Sequence[Unknown]) -> Model:

@@ -31,7 +31,7 @@ from servo_bench.diagnosis.judging.verdict import (
 from servo_bench.diagnosis.searching.classes import class_of, splitting
 from servo_bench.diagnosis.searching.coasting import given_back, is_coasting, slowing_rad_s2
 from servo_bench.diagnosis.searching.finding import Finding
-from servo_bench.diagnosis.searching.gate import RIGHT
+from servo_bench.diagnosis.searching.gate import MOST_OF_IT, RIGHT
 from servo_bench.diagnosis.searching.hypotheses import DETECTED
 from servo_bench.diagnosis.searching.joint import Named
 from servo_bench.diagnosis.searching.readying import order_tolerance
@@ -43,7 +43,7 @@ FAR_BETTER, NEARLY_RIGHT, BEST_LAW = 10.0, 2.5, 40.0
 exact: of what is far off, a fortieth may be left."""
 SURE = 6.0
 """A strength of fewer standard errors is no cause, because a sandwich of few blocks is too sure;
-unless what it gains, seen and held out, stands that far beyond chance."""
+unless what it gains, seen and held out, stands that far beyond chance, or is most of all."""
 UNSURE = 0.79
 """Confidence up to which a cause has no name: of 201 that were named on development seeds the three
 that had less were wrong, and of those that were right none had."""
@@ -153,9 +153,7 @@ def _causes(finding: Finding) -> Iterator[Cause]:
     known = dict(zip(names_of(finding.final), standard_errors(finding.final), strict=True))
     for one in finding.named:
         name = f"{one.effect}.{find_effect(one.effect).strengths[0]}"
-        own = one.missed_z is None  # what carried another has no advantage of its own round
-        sure = own and min(one.contender.seen_z, one.contender.held_z) > SURE
-        if sure or name not in known or abs(numbers[name].value) > SURE * known[name]:
+        if _is_sure(one) or name not in known or abs(numbers[name].value) > SURE * known[name]:
             yield cause_of(one, numbers)
     if len(finding.lost.rows) >= FEWEST_LOST:
         low, high = finding.lost.interval
@@ -185,6 +183,13 @@ def _causes(finding: Finding) -> Iterator[Cause]:
             },
             confidence=0.97,
         )
+
+
+def _is_sure(one: Named) -> bool:
+    """Whether its own round leaves no doubt; what carried another had none."""
+    found = one.contender
+    most = min(found.seen_gain, found.held_gain) > MOST_OF_IT
+    return one.missed_z is None and (min(found.seen_z, found.held_z) > SURE or most)
 
 
 def carried_cause(effect: str, missed_z: float, numbers: dict[str, Quantity]) -> Cause:

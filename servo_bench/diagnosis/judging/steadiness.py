@@ -23,8 +23,9 @@ TAKEN, CHANGED, BEYOND_Z = 0.03, 0.25, 4.0
 """Of the cost, of the number itself, and in the blocks' scatter: a slope with more is there. Of 40
 causes that were named rightly on development seeds one changed by more than a twentieth, and took
 nothing; five gaps that warm and were called wrong ones changed by 0.6 to 1.4 and took 5 to 32 %."""
-CHANGES = frozenset({"thermal_friction", "thermal_torque_constant"})
-"""Causes that are a change themselves: how fast they warm is known to a factor only."""
+CHANGES = frozenset({"thermal_friction", "thermal_torque_constant", "clock_skew"})
+"""Causes that are a change themselves: how fast they warm is known to a factor only, and a clock
+that walks past a drive's ticks does so in steps (`ticks`), of which a short recording has few."""
 RIDGE = 1e-9
 
 

@@ -27,7 +27,7 @@ from servo_bench.diagnosis.searching.unknowns import (
 from sim_rig.effects import catalogue, find_effect, inverter_dead_time, thermal_friction
 from sim_rig.effects.effect import Effect
 from sim_rig.errors import EffectError
-from sim_rig.model import Model, Simulated
+from sim_rig.model import Model
 
 Table = Mapping[str, float]
 QUANTILES = (0.5, 0.66, 0.83)
@@ -54,6 +54,7 @@ SHAPES: Mapping[str, tuple[Table, ...]] = {
     "command_deadband": tuple({"offset_fraction": kind} for kind in (0.0, 1.0)),
 }
 """What is tried beside sizes. A sign change as wide as a Stribeck curve would be most of it."""
+BETWEEN_S = 5e-4
 LITTLE = 0.005
 """Of rms torque: friction of a load that something else drives through its gap."""
 SPRINGS = frozenset({"contact", "coupling_compliance"})
@@ -103,13 +104,14 @@ def yielding(inertia_kg_m2: float) -> float:
     return USUAL_INERTIA_KG_M2 / inertia_kg_m2
 
 
-def scales_of(model: Model, commands_rad_s: np.ndarray, done: Simulated) -> Scales:
-    """From the nominal rig's own simulation. `currents_a` are high quantiles of its size,
-    `peaks_a` such as only the largest jumps reach.
+def scales_of(model: Model, commands_rad_s: np.ndarray, durations_s: np.ndarray | float) -> Scales:
+    """From the nominal rig's own simulation. `currents_a` are high quantiles of its size at the
+    samples, `peaks_a` of what flows between them: a stiff loop's jump is over in a millisecond.
     """
-    nominal = model.nominal
+    nominal, done = model.nominal, model.simulate(commands_rad_s, durations_s)
     current = np.abs(done.motor_current_a)
-    wanted = commands_rad_s - done.motor_velocity_rad_s
+    heard = np.append(0.0, commands_rad_s[:-1])  # a slot shows what the command before it did
+    wanted = heard - done.motor_velocity_rad_s
     integral = np.abs(done.motor_current_a - nominal.proportional_gain_a_s_per_rad * wanted)
     jumps = np.diff(commands_rad_s)
     jumps = jumps[jumps != 0.0]
@@ -119,7 +121,7 @@ def scales_of(model: Model, commands_rad_s: np.ndarray, done: Simulated) -> Scal
         speed_rad_s=max(float(np.sqrt(np.mean(done.motor_velocity_rad_s**2))), 1e-9),
         current_a=max(rms, 1e-9),
         currents_a=_quantiles(current, (0.98, 0.92, 0.8)),
-        peaks_a=_quantiles(current, (0.998, 0.993)),
+        peaks_a=_quantiles(_within(model, commands_rad_s, durations_s), (0.998, 0.98, 0.94)),
         integral_a=_quantiles(integral, (0.98, 0.9, 0.75)),
         command_rad_s=max(float(np.abs(commands_rad_s).max()), 1e-9),
         jump_rad_s=max(float(np.sqrt(np.mean(jumps**2))) if jumps.size else 0.0, 1e-9),
@@ -127,6 +129,16 @@ def scales_of(model: Model, commands_rad_s: np.ndarray, done: Simulated) -> Scal
         inertia_kg_m2=nominal.inertia_kg_m2,
         seconds=done.end.time_s,
     )
+
+
+def _within(
+    model: Model, commands_rad_s: np.ndarray, durations_s: np.ndarray | float
+) -> np.ndarray:
+    """The size of the current a few times in every slot."""
+    slots = np.broadcast_to(durations_s, commands_rad_s.shape)
+    times = max(1, round(float(np.median(slots)) / BETWEEN_S)) if slots.size else 1
+    often = model.simulate(np.repeat(commands_rad_s, times), np.repeat(slots / times, times))
+    return np.abs(often.motor_current_a)
 
 
 def _quantiles(values: np.ndarray, at: Sequence[float]) -> tuple[float, ...]:
@@ -389,7 +401,7 @@ def _sizes(effect: Effect, s: Scales) -> tuple[float, ...]:
         "torque_constant_droop": tuple(k / s.currents_a[0] ** 2 for k in (0.05, 0.2)),
         "thermal_torque_constant": (0.05,),
         "current_limit": tuple(1.0 / current for current in (*s.peaks_a, *s.currents_a)),
-        "integrator_clamp": tuple(k / s.integral_a[2] for k in (0.4, 0.7, 1.2, 2.2, 4.0)),
+        "integrator_clamp": tuple(k / s.integral_a[2] for k in (0.35, 0.5, 0.8, 1.3, 2.4, 4.0)),
         "anti_windup": (30.0, 300.0),
         "current_loop_lag": (2e-4, 8e-4),
         "velocity_filter_lag": (4e-4, 1.5e-3),

@@ -8,9 +8,10 @@ import pytest
 from servo_bench.diagnosis.comparing.evidence import evidence_of
 from servo_bench.diagnosis.searching.coasting import coasting, is_coasting
 from servo_bench.diagnosis.searching.finding import find_causes, nothing_told
-from servo_bench.diagnosis.searching.hypotheses import hypotheses, scales_of
+from servo_bench.diagnosis.searching.hypotheses import hypotheses
 from servo_bench.diagnosis.searching.joint import Named
 from servo_bench.diagnosis.searching.late import Late, asked_again, asked_late
+from servo_bench.diagnosis.searching.scales import scales_of
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unknowns import nuisances
 from sim_rig.model import Model

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from servo_bench.diagnosis.searching.hypotheses import LIGHTEST, Scales, scales_of
+from servo_bench.diagnosis.searching.scales import LIGHTEST, Scales, scales_of
 from servo_bench.diagnosis.searching.unknowns import nuisances
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, nominal_with

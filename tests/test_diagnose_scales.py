@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from servo_bench.diagnosis.searching.hypotheses import scales_of
+from servo_bench.diagnosis.searching.scales import scales_of
 from sim_rig.model import Model
 from sim_rig.settings import Nominal
 

@@ -8,14 +8,9 @@ from servo_bench.diagnosis.searching.approaching import KEPT, approached
 from servo_bench.diagnosis.searching.finding import find_causes
 from servo_bench.diagnosis.searching.gap import play_gap
 from servo_bench.diagnosis.searching.gate import RIGHT, material_sizes
-from servo_bench.diagnosis.searching.hypotheses import (
-    Hypothesis,
-    Scales,
-    Trial,
-    hypotheses,
-    scales_of,
-)
+from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Trial, hypotheses
 from servo_bench.diagnosis.searching.rounds import play_round
+from servo_bench.diagnosis.searching.scales import Scales, scales_of
 from servo_bench.diagnosis.searching.screening import Screened, screen, towards
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unknowns import nuisances

@@ -17,8 +17,9 @@ from servo_bench.diagnosis.searching.gate import (
     passes,
     passes_slowly,
 )
-from servo_bench.diagnosis.searching.hypotheses import Scales, Trial, hypotheses
+from servo_bench.diagnosis.searching.hypotheses import Trial, hypotheses
 from servo_bench.diagnosis.searching.rounds import Contender, gone_on, merged, play_round
+from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, roam, seek, settle
 from servo_bench.diagnosis.searching.unknowns import Unknown, nuisances, widened
 from sim_rig.model import Model

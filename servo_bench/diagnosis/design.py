@@ -26,13 +26,8 @@ from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.comparing.rows import Array
 from servo_bench.diagnosis.searching.classes import class_of
 from servo_bench.diagnosis.searching.gate import material_sizes
-from servo_bench.diagnosis.searching.hypotheses import (
-    Hypothesis,
-    Scales,
-    Trial,
-    hypotheses,
-    scales_of,
-)
+from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Trial, hypotheses
+from servo_bench.diagnosis.searching.scales import Scales, scales_of
 from servo_bench.diagnosis.searching.screening import quarter_rad
 from servo_bench.diagnosis.searching.unknowns import Unknown, nuisances
 from servo_bench.excitation.experiment import Experiment, Phase

@@ -13,7 +13,7 @@ from servo_bench.diagnosis.fitting.free import unit_of
 from servo_bench.diagnosis.judging.verdict import Cause, Limit, Quantity
 from servo_bench.diagnosis.searching.finding import Finding
 from servo_bench.diagnosis.searching.gate import material_sizes
-from servo_bench.diagnosis.searching.hypotheses import Scales
+from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found
 from sim_rig.effects import find_effect
 

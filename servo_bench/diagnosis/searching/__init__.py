@@ -1,6 +1,7 @@
 """From recordings to causes: `find_causes(recordings, model) -> Finding`.
 
 unknowns, stepping, seeking     open numbers with their bands, and searches among them
+scales                          how large things are on this rig under this excitation
 hypotheses, screening           what can be tried on this rig, and how much of it promises what
 approaching, rounds             where a steep search starts; one round of fits that compete
 classes, gate                   what nobody can tell apart; when a cause is beyond chance and large

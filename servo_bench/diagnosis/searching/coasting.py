@@ -12,7 +12,7 @@ import numpy as np
 
 from servo_bench.diagnosis.comparing.evidence import Evidence
 from servo_bench.diagnosis.searching.gate import misfit
-from servo_bench.diagnosis.searching.hypotheses import yielding
+from servo_bench.diagnosis.searching.scales import yielding
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unknowns import Unknown, widened
 from sim_rig.effects import backlash_width

@@ -47,12 +47,7 @@ from servo_bench.diagnosis.searching.gate import (
     passes,
     passes_slowly,
 )
-from servo_bench.diagnosis.searching.hypotheses import (
-    ON_THE_LOAD,
-    Hypothesis,
-    Scales,
-    hypotheses,
-)
+from servo_bench.diagnosis.searching.hypotheses import ON_THE_LOAD, Hypothesis, hypotheses
 from servo_bench.diagnosis.searching.joint import (
     Named,
     fit_jointly,
@@ -85,6 +80,7 @@ from servo_bench.diagnosis.searching.rounds import (
     play_round,
 )
 from servo_bench.diagnosis.searching.runoff import run_off
+from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording

@@ -20,8 +20,9 @@ from servo_bench.diagnosis.searching.gate import (
     is_material,
     misfit,
 )
-from servo_bench.diagnosis.searching.hypotheses import ON_THE_LOAD, SPRINGS, VEHICLE, Scales
+from servo_bench.diagnosis.searching.hypotheses import ON_THE_LOAD, SPRINGS, VEHICLE
 from servo_bench.diagnosis.searching.rounds import Contender, Round, Told
+from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek, settle
 from servo_bench.diagnosis.searching.unknowns import Unknown, merged
 from sim_rig.errors import EffectError

@@ -27,9 +27,10 @@ from servo_bench.diagnosis.searching.gate import (
     promises,
     strength_of,
 )
-from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Scales
+from servo_bench.diagnosis.searching.hypotheses import Hypothesis
 from servo_bench.diagnosis.searching.joint import Named, fit_jointly, is_worth_it, own_unknowns
 from servo_bench.diagnosis.searching.rounds import REFINES, Contender, Round, Told, play_round
+from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unknowns import Unknown
 

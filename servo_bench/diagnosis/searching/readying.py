@@ -16,8 +16,9 @@ from servo_bench.diagnosis.comparing.rows import Rows
 from servo_bench.diagnosis.reading.hygiene import LostCommands, heard, lost_commands
 from servo_bench.diagnosis.reading.orders import MotorLines, Wave, motor_lines, torque_waves
 from servo_bench.diagnosis.reading.times import filled, jitter_s, on_even_times, with_rows_in_holes
-from servo_bench.diagnosis.searching.hypotheses import Scales, cogging_of, scales_of
+from servo_bench.diagnosis.searching.hypotheses import cogging_of
 from servo_bench.diagnosis.searching.rounds import Told
+from servo_bench.diagnosis.searching.scales import Scales, scales_of
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unknowns import Unknown, nuisances
 from servo_bench.recording.recording import Recording

@@ -8,7 +8,8 @@ from scipy.signal import lfilter
 
 from servo_bench.diagnosis.comparing.comparison import Comparison, compare
 from servo_bench.diagnosis.comparing.evidence import SCALES
-from servo_bench.diagnosis.reading.orders import load_lines, tone
+from servo_bench.diagnosis.reading.orders import tone
+from servo_bench.diagnosis.reading.subdivision import load_lines, subdivision
 from servo_bench.diagnosis.searching.coasting import coasting
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, recorded, with_channels
@@ -39,6 +40,34 @@ def test_a_faint_scale_is_found_beside_a_load_that_bounces(seed: int) -> None:
 @pytest.mark.parametrize("seed", [33, 34, 35])
 def test_a_load_that_bounces_makes_no_line(seed: int) -> None:
     assert load_lines(compared(seed, BOUNCING), MODEL) == ()
+
+
+@pytest.mark.parametrize(("seed", "amplitude_rad"), [(41, 3e-5), (42, 5e-5), (43, 2e-4)])
+def test_a_wave_of_a_third_of_a_count_has_its_size_and_phase(
+    seed: int, amplitude_rad: float
+) -> None:
+    """The encoder counts 9.6e-5 rad, and its noise is one of them."""
+    wave = {"amplitude_rad": amplitude_rad, "line_order": float(LINES), "phase_rad": 0.7}
+    found = subdivision(compared(seed, MODEL.with_effect("encoder_subdivision", **wave)), MODEL)
+    assert found is not None
+    assert found.line_order == LINES
+    error = found.standard_error_rad
+    assert 1e-6 < error < 7e-6
+    assert found.amplitude_rad == pytest.approx(amplitude_rad, abs=3.0 * error)
+    assert found.phase_rad == pytest.approx(0.7, abs=3.0 * error / amplitude_rad)
+
+
+def test_what_the_simulation_lacks_is_not_the_discs() -> None:
+    """A wave that begins in the middle of the recording is not in both halves of it."""
+    wave = {"amplitude_rad": 1e-4, "line_order": float(LINES)}
+    recording = recorded(MODEL, 44, slots=SLOTS)
+    with_wave = recorded(MODEL.with_effect("encoder_subdivision", **wave), 44, slots=SLOTS)
+    half = len(recording) // 2
+    angle = np.array(recording["load_angle_rad"])
+    angle[half:] = np.array(with_wave["load_angle_rad"])[half:]
+    late = compare(with_channels(recording, load_angle_rad=angle), MODEL, scales=SCALES)
+    assert load_lines(late, MODEL)
+    assert subdivision(late, MODEL) is None
 
 
 def test_a_floor_that_shakes_is_heard() -> None:

@@ -171,18 +171,25 @@ def _causes(finding: Finding) -> Iterator[Cause]:
         )
     if finding.lattice is not None:
         step, error = finding.lattice.quantum_rad, finding.lattice.standard_error_rad
-        yield Cause(
-            effect="quantisation",
-            parameters={
-                "count_rad": Quantity(
-                    value=step,
-                    unit="rad",
-                    ci95=(step - 1.96 * error, step + 1.96 * error),
-                    standard_error=error,
-                )
-            },
-            confidence=0.97,
+        yield _seen_in_the_data("quantisation", count_rad=_quantity(step, error))
+    if finding.scale is not None:
+        scale, error = finding.scale, finding.scale.standard_error_rad
+        wave = {"amplitude_rad": scale.amplitude_rad, "phase_rad": scale.phase_rad}
+        errors = (error, error / scale.amplitude_rad)
+        yield _seen_in_the_data(
+            "encoder_subdivision",
+            **{n: _quantity(v, e) for (n, v), e in zip(wave.items(), errors, strict=True)},
         )
+
+
+def _quantity(value_rad: float, error_rad: float) -> Quantity:
+    ci95 = (value_rad - 1.96 * error_rad, value_rad + 1.96 * error_rad)
+    return Quantity(value=value_rad, unit="rad", ci95=ci95, standard_error=error_rad)
+
+
+def _seen_in_the_data(effect: str, **parameters: Quantity) -> Cause:
+    """A cause that needs no simulation to be seen."""
+    return Cause(effect=effect, parameters=parameters, confidence=0.97)
 
 
 def _is_sure(one: Named) -> bool:

@@ -1,4 +1,4 @@
-"""Which orders (periods a revolution) stand in an error: of the motor's shaft, and of the load's.
+"""Which orders (periods a revolution) of the motor's shaft stand in an error; and a tone in time.
 
 On the motor a wave d = exp(j n theta) of torque reaches the speed and the current through the
 nominal loop,
@@ -7,8 +7,8 @@ nominal loop,
 
 so every order, whole or not, is one filtered template. theta is the angle that was measured, where
 the motor has an encoder: the loop is linear in d, but a strong wave turns the shaft from where the
-nominal loop would have it by more than a period of a high order. On the load a sensor's wave is in
-the angle as it is. A line counts where the share of the error that it explains is beyond chance.
+nominal loop would have it by more than a period of a high order. A line counts where the share of
+the error that it explains is beyond chance.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,6 @@ FEWEST_ANGLES = 16
 MOST_ROWS = 2500
 LOWEST_MOTOR, HIGHEST_MOTOR = 2.6, 100.0
 """Below are weight, eccentricity and misalignment, which have effects of their own."""
-HIGHEST_LOAD = 4200
 SMOOTH_ROWS = 25
 USUAL = (6.0, 8.0, 10.0, 12.0, 24.0)
 """Orders that are tried where no line stands out."""
@@ -36,9 +35,6 @@ STANDS_OUT = 25.0
 """Explained over mean residual variance, of two degrees of freedom: exp(-12.5) by chance."""
 FAINT = 5.0
 """What stands out by less is not looked at again when a stronger line is taken out."""
-LOAD_STANDS_OUT, BEYOND = 45.0, 4.0
-"""Of a load line: among the 4184 orders chance makes lines up to 30; bounces in the gap make others
-where they are not left out, as errors beyond so many deviations are here."""
 TONE = 60.0
 """Power of a line in time over its surroundings: exp(-60) by chance, and models are not perfect."""
 LEAST_ABOUT = 0.4
@@ -265,39 +261,6 @@ def _explained(template: Array, values: Array) -> tuple[float, float]:
     return explained / max(total, 1e-300), explained / left
 
 
-def load_lines(comparison: Comparison, model: Model, most: int = 3) -> tuple[OrderLine, ...]:
-    """The strongest lines of high order in the load's own angle, whole orders only."""
-    rows, piece = comparison.source.rows, comparison.pieces[0].piece
-    if not rows.has("load_angle_rad"):
-        return ()
-    shown = comparison.source.play(model, piece)
-    angle = rows.channel("load_angle_rad")[piece.rows]
-    error = angle - np.asarray(shown["load_angle_rad"])
-    if rows.has("motor_position_rad"):
-        motor = rows.channel("motor_position_rad")[piece.rows]
-        error = error - (motor - np.asarray(shown["motor_position_rad"]))
-    known = np.isfinite(error) & rows.seen[piece.rows]
-    if known.sum() < 4 * SMOOTH_ROWS:
-        return ()
-    error, angle = error[known], angle[known]
-    quick = error - median_filter(error, SMOOTH_ROWS)
-    sigma = max(1.4826 * float(np.median(np.abs(quick))), 1e-12)
-    ratio = quick / (BEYOND * sigma)
-    values = ratio * np.maximum(1.0 - ratio**2, 0.0) ** 2  # Tukey's biweight
-    orders = np.arange(16.0, HIGHEST_LOAD)
-    heights = np.concatenate(
-        [_heights(part, angle, values) for part in np.array_split(orders, orders.size // 256)]
-    )
-    turns = max(float(np.ptp(angle)) / (2.0 * np.pi), 0.25)
-    found: list[OrderLine] = []
-    for place in np.argsort(-heights)[:40]:
-        order, height = float(orders[place]), float(heights[place])
-        apart = all(abs(order - f.order) > max(3.0, 2.0 / turns) for f in found)
-        if height > LOAD_STANDS_OUT and apart:
-            found.append(OrderLine(order, height / values.size, height))
-    return tuple(found[:most])
-
-
 class Tone(NamedTuple):
     """A line in time: its frequency, amplitude in the load's angle, and how far it stands out."""
 
@@ -335,9 +298,3 @@ def tone(comparison: Comparison, model: Model) -> Tone | None:
         return None
     frequency = best / (quick.size * comparison.source.rows.period_s)
     return Tone(frequency, amplitude, float(height[best]))
-
-
-def _heights(orders: Array, angle: Array, values: Array) -> Array:
-    """|sum of the error against a wave|^2 over what white noise would give, for each order."""
-    waves = np.exp(-1j * np.outer(orders, angle))
-    return np.asarray(2.0 * np.abs(waves @ values) ** 2 / float(values @ values))

@@ -6,7 +6,8 @@
     rounds      screen, fit, compete, accept; what is there but too small to matter is absorbed
     whole       everything accepted, on all that was recorded, in fine steps; backward deletion;
                 a cause against its near rivals (`runoff`); what only all of it shows (`late`)
-    lattice     of the load angle, where the simulation with its causes does not stand on it too
+    lattice     of the load angle, where the simulation with its causes does not stand on it too;
+                and its scale's wave, where that was too faint for a round
     judgement   named, none, or unknown; confidence, rivals, limits, gain on data no fit saw
 
 Causes are chosen on the recordings alone: fitted on the identification, judged on the validation.
@@ -33,7 +34,8 @@ from servo_bench.diagnosis.comparing.ticks import ticks
 from servo_bench.diagnosis.comparing.unevenness import unevenness
 from servo_bench.diagnosis.reading.crossing import crossing_s
 from servo_bench.diagnosis.reading.hygiene import Lattice, LostCommands, lattice, wild_samples
-from servo_bench.diagnosis.reading.orders import USUAL, OrderLine, Tone, load_lines, tone
+from servo_bench.diagnosis.reading.orders import USUAL, OrderLine, Tone, tone
+from servo_bench.diagnosis.reading.subdivision import Subdivision, load_lines, subdivision
 from servo_bench.diagnosis.searching.bounces import bounces
 from servo_bench.diagnosis.searching.classes import class_of
 from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting, with_coasting
@@ -86,6 +88,7 @@ from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 
+SCALE = "encoder_subdivision"
 MOST_ROUNDS = 5
 TURNS = 3
 """After a round in which nothing held what it promised, what promised less has so many more, while
@@ -114,6 +117,7 @@ class Finding:
     absorbed: tuple[str, ...]
     lost: LostCommands
     lattice: Lattice | None
+    scale: Subdivision | None
     motor_lines: tuple[OrderLine, ...]
     load_lines: tuple[OrderLine, ...]
     tone: Tone | None
@@ -153,7 +157,7 @@ def find_causes(
     ready = made_ready(*thin, model, block=block, without=without, report=report)
     quick, base, scales, band = ready.quick, ready.base, ready.scales, ready.band
     motor, waves, turns = ready.motor, ready.waves, turns_of(quick)
-    load = load_lines(quick.fitted[0], base.model)
+    load = load_lines(compare(ready.recordings[0], base.model, block), base.model)
     candidates = hypotheses(
         scales,
         motor_orders=[wave.order for wave in waves] or USUAL,
@@ -202,8 +206,9 @@ def find_causes(
     absorbed += small
     # judged beside what is known now: a motor that sticks stands on the command's own steps
     grid = None if "quantisation" in without else lattice(whole.fitted[0], final.model)
-    report("coasting")
     final, plain = _coasting_at_last(whole, final, plain, nothing=not (named or absorbed))
+    scale = None if SCALE in without or (only and SCALE not in only) else _scale(whole, final)
+    final = _on_its_scale(whole, final, scale)
     return Finding(
         recordings=recordings,
         held_out=held_out,
@@ -217,6 +222,7 @@ def find_causes(
         absorbed=_absorbed(absorbed, named, final),
         lost=lost,
         lattice=grid,
+        scale=scale,
         motor_lines=motor.torque,
         load_lines=load,
         tone=tone(quick.fitted[0], now.model),
@@ -237,6 +243,21 @@ def _coasting_at_last(
     was found they are the same."""
     final = with_coasting(whole, plain if nothing else final, to_ask=False)
     return final, final if nothing else plain
+
+
+def _scale(whole: Evidence, final: Found) -> Subdivision | None:
+    """Of the load's encoder, unless a round has found it already."""
+    fitted = SCALE in final.model.effects
+    return None if fitted else subdivision(whole.fitted[0], final.model)
+
+
+def _on_its_scale(whole: Evidence, final: Found, scale: Subdivision | None) -> Found:
+    """The final fit, with the encoder's scale as it was read off the data."""
+    if scale is None:
+        return final
+    wave = {"amplitude_rad": scale.amplitude_rad, "phase_rad": scale.phase_rad}
+    model = final.model.with_effect(SCALE, line_order=scale.line_order, **wave)
+    return seek(whole, model, final.unknowns, final.sigma, iterations=1, first=2)
 
 
 def _worth_telling(

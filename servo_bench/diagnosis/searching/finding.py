@@ -225,7 +225,7 @@ def find_causes(
         scale=scale,
         motor_lines=motor.torque,
         load_lines=load,
-        tone=tone(quick.fitted[0], now.model),
+        tone=tone(whole.fitted[0], final.model) or tone(quick.fitted[0], now.model),
         wild=_wild(came, whole, final.model, scales),
         turns=turns,
         rounds=tuple(rounds),

@@ -10,6 +10,7 @@ cluster every worker needs the same version of what it imports, and sees the fil
 import importlib
 import multiprocessing
 import os
+import threading
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -33,7 +34,9 @@ def executor(jobs: int | None = None, scheduler: str | None = None) -> Iterator[
     if scheduler is None:
         # Spawned, not forked: a fork copies locks that threads of this process may hold.
         context = multiprocessing.get_context("spawn")
-        pool: Executor = ProcessPoolExecutor(jobs or os.cpu_count() or 1, mp_context=context)
+        pool: Executor = ProcessPoolExecutor(
+            jobs or os.cpu_count() or 1, mp_context=context, initializer=end_with_the_parent
+        )
         try:
             yield pool
         finally:
@@ -46,6 +49,18 @@ def executor(jobs: int | None = None, scheduler: str | None = None) -> Iterator[
         )
     with _client(scheduler) as client, client.get_executor(pure=False) as pool:
         yield pool  # not pure: the same job given twice is two jobs
+
+
+def end_with_the_parent() -> None:
+    """Let this worker end when what started it does: a killed one tells nobody to stop."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_after, args=(parent,), daemon=True).start()
+
+
+def _end_after(parent: Any) -> None:
+    parent.join()
+    os._exit(1)
 
 
 def _client(scheduler: str) -> Any:

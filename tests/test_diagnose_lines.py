@@ -8,9 +8,11 @@ from scipy.signal import lfilter
 
 from servo_bench.diagnosis.comparing.comparison import Comparison, compare
 from servo_bench.diagnosis.comparing.evidence import SCALES
+from servo_bench.diagnosis.judging.judgement import verdict_of
 from servo_bench.diagnosis.reading.orders import tone
 from servo_bench.diagnosis.reading.subdivision import load_lines, subdivision
 from servo_bench.diagnosis.searching.coasting import coasting
+from servo_bench.diagnosis.searching.finding import SCALE, find_causes
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, recorded, with_channels
 
@@ -57,8 +59,7 @@ def test_a_wave_of_a_third_of_a_count_has_its_size_and_phase(
     assert found.phase_rad == pytest.approx(0.7, abs=3.0 * error / amplitude_rad)
 
 
-def test_what_the_simulation_lacks_is_not_the_discs() -> None:
-    """A wave that begins in the middle of the recording is not in both halves of it."""
+def test_what_is_in_one_half_of_the_recording_is_not_the_discs() -> None:
     wave = {"amplitude_rad": 1e-4, "line_order": float(LINES)}
     recording = recorded(MODEL, 44, slots=SLOTS)
     with_wave = recorded(MODEL.with_effect("encoder_subdivision", **wave), 44, slots=SLOTS)
@@ -84,3 +85,15 @@ def test_a_faint_line_in_a_hole_of_the_spectrum_is_none() -> None:
     faint = 5e-5 * np.sin(math.tau * 62.19 * PERIOD_S * slots)
     error_rad = 3e-4 * smooth / float(np.std(smooth)) + faint
     assert tone(compared(37, MODEL, error_rad, SHORT), MODEL) is None
+
+
+@pytest.mark.parametrize("seed", [45, 46])
+def test_a_faint_scale_is_a_cause_and_the_extended_rig_has_it(seed: int) -> None:
+    wave = {"amplitude_rad": 5e-5, "line_order": float(LINES), "phase_rad": -1.1}
+    recording = recorded(MODEL.with_effect(SCALE, **wave), seed, slots=SLOTS)
+    verdict = verdict_of(find_causes([recording], MODEL, only=(SCALE,)))
+    assert verdict.names == (SCALE,)
+    assert verdict.effects[SCALE]["line_order"] == LINES
+    found = verdict.causes[0].parameters["amplitude_rad"]
+    assert found.value == pytest.approx(wave["amplitude_rad"], abs=4.0 * found.standard_error)
+    assert verdict_of(find_causes([recording], MODEL, only=("misalignment",))).names == ()

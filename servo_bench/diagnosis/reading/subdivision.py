@@ -25,8 +25,8 @@ LOWEST_ORDER, HIGHEST_ORDER = 16, 4200
 ROWS, FEWEST = 7, 100
 """What is slow is the middle of so many rows; and the fewest samples of which lines are asked."""
 STANDS_OUT = {ROWS: 30.0, 25: 45.0}
-"""Of a line, by the rows whose middle is slow: with few, chance makes lines up to 21, as 26 nulls
-on development seeds had them; with many up to 33, and bounces in the gap hide less."""
+"""Of a line, by the rows whose middle is slow: with few, chance made lines up to 21 in seven nulls
+on development seeds; with many up to 33, and bounces in the gap hide less. 30 others had none."""
 BEYOND = 4.0
 """Errors beyond so many deviations count for nothing: bounces would make lines of their own."""
 PLACES = 1 << 17
@@ -35,7 +35,7 @@ TURNS = 4
 CLEARLY, AGREES, NOISIER = 4.5, 3.0, 3.0
 """Standard errors: of the whole wave beyond zero; and of what both halves of the record may differ
 by. What is quick and so much noisier than the sensor at rest is the simulation's, not the disc's:
-it was 1.0 to 2.6 of that on 24 rigs of development seeds, and 7 and 30 on two that coast."""
+it was 1.0 to 2.6 of that on 23 rigs of development seeds, and 7 and 30 on two that coast."""
 
 
 class Subdivision(NamedTuple):

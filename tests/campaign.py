@@ -26,7 +26,7 @@ from servo_bench.jobs import executor
 from servo_bench.recording.provenance import provenance
 from tests.trial import run_trial
 from tests.trials.answering import DIAGNOSE
-from tests.trials.asking import EVERY_EFFECT, Campaign
+from tests.trials.asking import ASKED, Campaign
 from tests.trials.drawing import PERIOD_S, SECONDS, Question
 from tests.trials.figures import Line, figures
 from tests.trials.lines import Lines
@@ -112,7 +112,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = _parser()
     options = parser.parse_args(arguments)
     asked = Campaign(
-        effects=options.effects.split(",") if options.effects else EVERY_EFFECT,
+        effects=options.effects.split(",") if options.effects else ASKED,
         seeds=options.seeds,
         multiples=options.multiple,
         nulls=options.nulls,

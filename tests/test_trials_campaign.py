@@ -14,7 +14,7 @@ from servo_bench.errors import ConfigError
 from servo_bench.jobs import executor
 from tests.campaign import main, run, summary
 from tests.trials import told
-from tests.trials.asking import EVERY_EFFECT, Campaign
+from tests.trials.asking import ASKED, NUISANCES, Campaign
 from tests.trials.drawing import question_from
 from tests.trials.lines import Lines
 from tests.trials.measuring import bench
@@ -85,8 +85,11 @@ def test_judging_never_uses_a_seed_of_development() -> None:
 
 def test_every_effect_is_asked_as_often_and_outsiders_in_turn() -> None:
     asked = Campaign(seeds=3, outside=30).questions()
-    per_effect = {name: sum(q.effect == name for q in asked) for name in EVERY_EFFECT}
+    per_effect = {name: sum(q.effect == name for q in asked) for name in ASKED}
     assert set(per_effect.values()) == {3}
+    assert not any(q.effect in NUISANCES for q in asked)
+    named = Campaign(effects=NUISANCES, seeds=1).questions()
+    assert {q.effect for q in named} == set(NUISANCES)
     outsiders = [q.effect for q in asked if q.kind == "outside"]
     assert len(set(outsiders)) == 15
     assert len(outsiders) == 30

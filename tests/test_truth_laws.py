@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.truth.catalogue import Scale
 from tests.truth.drive import AT_REST, NOTCH_QUALITY, RIPPLE_A_PER_V, dead_time, notched
 from tests.truth.effects import NONE
 from tests.truth.mechanics import DEFLECTIONS, held
 from tests.truth.nuisances import QUIET
 from tests.truth.plant import TruthPlant
-from tests.truth.rigs import PAPER
+from tests.truth.rigs import PAPER, NominalRig, drawn
 from tests.truth.trying import (
     K_T,
     LOOP_S,
@@ -291,6 +292,16 @@ def test_the_integrator_stays_within_its_clamp() -> None:
     free = quiet()
     free.play(np.full(2, VELOCITY_RAD_S), PERIOD_S)
     assert free.state.drive.integral_a > 0.3
+
+
+@pytest.mark.parametrize("rig", [PAPER, drawn(3), drawn(4)], ids=["paper", "one", "another"])
+def test_a_clamp_is_sized_by_what_the_integral_comes_to(rig: NominalRig) -> None:
+    """From rest, a step of 2 V: the closed form of the loop's own equation against the plant."""
+    plant, largest_a = quiet_on(replace(rig, backlash_gap_rad=0.0)), 0.0
+    for _ in range(800):
+        plant.advance(2.0 * VELOCITY_RAD_S, LOOP_S)
+        largest_a = max(largest_a, plant.state.drive.integral_a)
+    assert largest_a * Scale(rig, VELOCITY_RAD_S).of("1/integral") == pytest.approx(1.0, rel=0.03)
 
 
 def test_anti_windup_takes_the_overshoot_after_the_limit() -> None:

@@ -12,12 +12,14 @@ a slew limit, a dead zone) is sized by what the rig and the command ask for:
     "1/reversal"      1/(2 V): a size is then the time that a reversal takes, in s
     "peak"            2 V K_P: the current that a reversal asks for
     "1/peak", "1/peak2"   its reciprocal, and the square of that
+    "1/integral"      the reciprocal of what the controller's integral then comes to
     "inertia"         J
 
 `beside` are other strengths without which the effect has nothing to act on (friction that swings
 needs friction); `also` names what they are. `phases` are drawn from a turn, `choices` at random.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -26,7 +28,16 @@ from typing import Literal
 from tests.truth.plant import NominalValues
 
 Per = Literal[
-    "one", "gap", "command", "1/command", "1/reversal", "peak", "1/peak", "1/peak2", "inertia"
+    "one",
+    "gap",
+    "command",
+    "1/command",
+    "1/reversal",
+    "peak",
+    "1/peak",
+    "1/peak2",
+    "1/integral",
+    "inertia",
 ]
 Beside = Callable[[float, "Scale"], Mapping[str, float]]
 
@@ -62,7 +73,21 @@ class Scale:
             "peak": peak_a,
             "1/peak": 1.0 / peak_a,
             "1/peak2": 1.0 / peak_a**2,
+            "1/integral": 1.0 / self._integral_a(),
         }[per]
+
+    def _integral_a(self) -> float:
+        """Largest current of the controller's integral after a reversal of a bare inertia, A.
+
+        Of its error's integral q'' + 2 zeta wn q' + wn^2 q = 0, q(0) = 0, q'(0) = 2 V, that is
+        K_I 2 V/wn exp(-zeta acos(zeta) / sqrt(1 - zeta^2)); for zeta -> 1 the exponent is -1.
+        """
+        rig = self.nominal
+        per_gain = rig.torque_constant_nm_per_a / rig.inertia_kg_m2
+        wn_rad_s = math.sqrt(rig.integral_gain_a_per_rad * per_gain)
+        zeta = min(0.5 * rig.proportional_gain_a_s_per_rad * per_gain / wn_rad_s, 0.999)
+        least = math.exp(-zeta * math.acos(zeta) / math.sqrt(1.0 - zeta**2))
+        return rig.integral_gain_a_per_rad * 2.0 * self.velocity_rad_s / wn_rad_s * least
 
 
 def _alone(strength: float, scale: Scale) -> Mapping[str, float]:
@@ -191,7 +216,7 @@ IN_THE_CATALOGUE = (
     Hiding("current_limit", "current_limit_per_a", 1.25, 2.9, per="1/peak"),
     Hiding("current_lag", "current_lag_s", 0.1e-3, 1e-3),
     Hiding("velocity_filter", "velocity_filter_s", 0.2e-3, 3e-3),
-    Hiding("integrator_clamp", "integrator_clamp_per_a", 1.2, 6.0, per="1/peak"),
+    Hiding("integrator_clamp", "integrator_clamp_per_a", 1.2, 4.0, per="1/integral"),
     Hiding(
         "anti_windup",
         "anti_windup_per_s",

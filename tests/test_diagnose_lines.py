@@ -10,9 +10,10 @@ from servo_bench.diagnosis.comparing.comparison import Comparison, compare
 from servo_bench.diagnosis.comparing.evidence import SCALES
 from servo_bench.diagnosis.judging.judgement import verdict_of
 from servo_bench.diagnosis.reading.orders import tone
+from servo_bench.diagnosis.reading.subdivision import EFFECT as SCALE
 from servo_bench.diagnosis.reading.subdivision import load_lines, subdivision
 from servo_bench.diagnosis.searching.coasting import coasting
-from servo_bench.diagnosis.searching.finding import SCALE, find_causes
+from servo_bench.diagnosis.searching.finding import find_causes
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, recorded, with_channels
 

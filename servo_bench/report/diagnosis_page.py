@@ -164,18 +164,13 @@ def _evidence_words(verdict: Verdict, finding: Finding) -> Iterator[str]:
 
 def _in_the_data(finding: Finding) -> Iterator[str]:
     """Causes that no fit has found, because they stand in the data themselves."""
-    grid, lost, scale = finding.lattice, finding.lost, finding.scale
+    grid, lost = finding.lattice, finding.lost
     if grid is not None:
         yield (
             f"The load's angle lies on steps of {grid.quantum_rad:.4g} rad, at a clearness of "
             f"{grid.clearness:.2f}: 1 where every sample does, 0 where none of them cares."
         )
-    if scale is not None:
-        yield (
-            f"The load's angle has a wave of {scale.amplitude_rad:.2g} ± "
-            f"{1.96 * scale.standard_error_rad:.1g} rad in each of {scale.line_order:.0f} lines of "
-            "its encoder's disc, alike in both halves of the recording."
-        )
+    yield from (one.sentence for one in finding.readings)
     if lost.rows:
         yield (
             f"{len(lost.rows)} of {lost.changes} changes of the command left out the response to a "

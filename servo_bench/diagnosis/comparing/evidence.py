@@ -54,6 +54,15 @@ class Evidence:
         """Errors at the points that no fit saw."""
         return self._errors(self.judging, [c.held_out for c in self.judging], models, coarse)
 
+    def after(self, models: Sequence[Model], *, coarse: bool = True) -> list["Errors"]:
+        """Errors at points that are for fitting and come after those that are fitted: of a quick
+        look, what follows the beginning; else none."""
+        masks = [
+            judge.seen & (judge.group > fitted.group.max(initial=0))
+            for fitted, judge in zip(self.fitted, self.judging, strict=True)
+        ]
+        return self._errors(self.judging, masks, models, coarse)
+
     @staticmethod
     def _errors(
         comparisons: Sequence[Comparison],

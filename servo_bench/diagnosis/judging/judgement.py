@@ -31,7 +31,7 @@ from servo_bench.diagnosis.judging.verdict import (
 from servo_bench.diagnosis.searching.classes import class_of, splitting
 from servo_bench.diagnosis.searching.coasting import given_back, is_coasting, slowing_rad_s2
 from servo_bench.diagnosis.searching.finding import Finding
-from servo_bench.diagnosis.searching.gate import MOST_OF_IT, RIGHT
+from servo_bench.diagnosis.searching.gate import HELD_Z, MOST_OF_IT, RIGHT
 from servo_bench.diagnosis.searching.hypotheses import DETECTED
 from servo_bench.diagnosis.searching.joint import Named
 from servo_bench.diagnosis.searching.readying import order_tolerance
@@ -172,14 +172,9 @@ def _causes(finding: Finding) -> Iterator[Cause]:
     if finding.lattice is not None:
         step, error = finding.lattice.quantum_rad, finding.lattice.standard_error_rad
         yield _seen_in_the_data("quantisation", count_rad=_quantity(step, error))
-    if finding.scale is not None:
-        scale, error = finding.scale, finding.scale.standard_error_rad
-        wave = {"amplitude_rad": scale.amplitude_rad, "phase_rad": scale.phase_rad}
-        errors = (error, error / scale.amplitude_rad)
-        yield _seen_in_the_data(
-            "encoder_subdivision",
-            **{n: _quantity(v, e) for (n, v), e in zip(wave.items(), errors, strict=True)},
-        )
+    for read in finding.readings:
+        told = {n: _quantity(read.settings[n], error) for n, error in read.errors.items()}
+        yield _seen_in_the_data(read.effect, **told)
 
 
 def _quantity(value_rad: float, error_rad: float) -> Quantity:
@@ -210,14 +205,15 @@ def carried_cause(effect: str, missed_z: float, numbers: dict[str, Quantity]) ->
 
 
 def cause_of(one: Named, numbers: dict[str, Quantity]) -> Cause:
-    """A cause as a verdict tells it, beside its best rival."""
+    """A cause as a verdict tells it, beside its best rival: who is beyond chance worse than nothing
+    on what was held out is none, however well it may fit."""
     if one.missed_z is not None:
         return carried_cause(one.effect, one.missed_z, numbers)
     contenders = one.round.contenders
     rivals = [c for c in contenders if c is not one.contender and c.effect != one.effect]
     members = class_of(one.effect) - {one.effect}
     near = {c.effect for c in one.round.near(one.contender)} - {one.effect}
-    others = [c for c in rivals if c.effect not in members]
+    others = [c for c in rivals if c.effect not in members and c.held_z > -HELD_Z]
     rival = min(others, key=lambda c: c.total) if others else None
     over = block_z(one.contender.costs, rival.costs) if rival is not None else None
     evidence = block_z(one.contender.costs, one.round.base_costs)

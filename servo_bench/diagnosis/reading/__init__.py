@@ -5,4 +5,6 @@ hygiene       commands that were lost, wild samples, a coarse encoder's lattice
 crossing      when samples begin to see the next command
 orders        what repeats with the motor's shaft, and tones from outside
 subdivision   what repeats with the lines of the load encoder's disc
+revolution    what the load's encoder says wrong once or twice in a revolution
+reading       a cause that is read off the data
 """

@@ -19,8 +19,10 @@ from servo_bench.diagnosis.comparing.comparison import Comparison
 from servo_bench.diagnosis.comparing.noise import floor_of
 from servo_bench.diagnosis.comparing.rows import Array
 from servo_bench.diagnosis.reading.orders import OrderLine
+from servo_bench.diagnosis.reading.reading import Reading
 from sim_rig.model import Model
 
+EFFECT = "encoder_subdivision"
 LOWEST_ORDER, HIGHEST_ORDER = 16, 4200
 ROWS, FEWEST = 7, 100
 """What is slow is the middle of so many rows; and the fewest samples of which lines are asked."""
@@ -45,6 +47,22 @@ class Subdivision(NamedTuple):
     amplitude_rad: float
     phase_rad: float
     standard_error_rad: float
+
+    def reading(self) -> Reading:
+        """As the catalogue's effect."""
+        amplitude, error = self.amplitude_rad, self.standard_error_rad
+        return Reading(
+            EFFECT,
+            {
+                "line_order": self.line_order,
+                "amplitude_rad": amplitude,
+                "phase_rad": self.phase_rad,
+            },
+            {"amplitude_rad": error, "phase_rad": error / amplitude},
+            f"The load's angle has a wave of {amplitude:.2g} ± {1.96 * error:.1g} rad in each of "
+            f"{self.line_order:.0f} lines of its encoder's disc, alike in both halves of the "
+            "recording.",
+        )
 
 
 class _Scale(NamedTuple):

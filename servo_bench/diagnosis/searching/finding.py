@@ -7,7 +7,7 @@
     whole       everything accepted, on all that was recorded, in fine steps; backward deletion;
                 a cause against its near rivals (`runoff`); what only all of it shows (`late`)
     lattice     of the load angle, where the simulation with its causes does not stand on it too;
-                and its scale's wave, where that was too faint for a round
+                and what its encoder says wrong by itself, where that was too faint for a round
     judgement   named, none, or unknown; confidence, rivals, limits, gain on data no fit saw
 
 Causes are chosen on the recordings alone: fitted on the identification, judged on the validation.
@@ -35,7 +35,8 @@ from servo_bench.diagnosis.comparing.unevenness import unevenness
 from servo_bench.diagnosis.reading.crossing import crossing_s
 from servo_bench.diagnosis.reading.hygiene import Lattice, LostCommands, lattice, wild_samples
 from servo_bench.diagnosis.reading.orders import USUAL, OrderLine, Tone, tone
-from servo_bench.diagnosis.reading.subdivision import Subdivision, load_lines, subdivision
+from servo_bench.diagnosis.reading.reading import Reading
+from servo_bench.diagnosis.reading.subdivision import load_lines
 from servo_bench.diagnosis.searching.bounces import bounces
 from servo_bench.diagnosis.searching.classes import class_of
 from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting, with_coasting
@@ -66,6 +67,8 @@ from servo_bench.diagnosis.searching.late import (
     unsure,
 )
 from servo_bench.diagnosis.searching.lighter import on_a_light_load
+from servo_bench.diagnosis.searching.rarely import acts_again
+from servo_bench.diagnosis.searching.reading_off import READ_OFF, with_readings
 from servo_bench.diagnosis.searching.readying import (
     filled_again,
     heard_after_all,
@@ -88,7 +91,6 @@ from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 
-SCALE = "encoder_subdivision"
 MOST_ROUNDS = 5
 TURNS = 3
 """After a round in which nothing held what it promised, what promised less has so many more, while
@@ -117,7 +119,7 @@ class Finding:
     absorbed: tuple[str, ...]
     lost: LostCommands
     lattice: Lattice | None
-    scale: Subdivision | None
+    readings: tuple[Reading, ...]
     motor_lines: tuple[OrderLine, ...]
     load_lines: tuple[OrderLine, ...]
     tone: Tone | None
@@ -207,8 +209,8 @@ def find_causes(
     # judged beside what is known now: a motor that sticks stands on the command's own steps
     grid = None if "quantisation" in without else lattice(whole.fitted[0], final.model)
     final, plain = _coasting_at_last(whole, final, plain, nothing=not (named or absorbed))
-    scale = None if SCALE in without or (only and SCALE not in only) else _scale(whole, final)
-    final = _on_its_scale(whole, final, scale)
+    out = {e for e in READ_OFF if e in without or (only and e not in only)}
+    final, readings = with_readings(whole, final, scales, out)
     return Finding(
         recordings=recordings,
         held_out=held_out,
@@ -222,7 +224,7 @@ def find_causes(
         absorbed=_absorbed(absorbed, named, final),
         lost=lost,
         lattice=grid,
-        scale=scale,
+        readings=readings,
         motor_lines=motor.torque,
         load_lines=load,
         tone=tone(whole.fitted[0], final.model) or tone(quick.fitted[0], now.model),
@@ -243,21 +245,6 @@ def _coasting_at_last(
     was found they are the same."""
     final = with_coasting(whole, plain if nothing else final, to_ask=False)
     return final, final if nothing else plain
-
-
-def _scale(whole: Evidence, final: Found) -> Subdivision | None:
-    """Of the load's encoder, unless a round has found it already."""
-    fitted = SCALE in final.model.effects
-    return None if fitted else subdivision(whole.fitted[0], final.model)
-
-
-def _on_its_scale(whole: Evidence, final: Found, scale: Subdivision | None) -> Found:
-    """The final fit, with the encoder's scale as it was read off the data."""
-    if scale is None:
-        return final
-    wave = {"amplitude_rad": scale.amplitude_rad, "phase_rad": scale.phase_rad}
-    model = final.model.with_effect(SCALE, line_order=scale.line_order, **wave)
-    return seek(whole, model, final.unknowns, final.sigma, iterations=1, first=2)
 
 
 def _worth_telling(
@@ -368,7 +355,7 @@ def _rounds(
         played = play_round(quick, beside, asked, sizes, told, least=least)
         rounds.append(played)
         failed.append(played)
-        accepted = accepted_of(played, len(named), right=right)
+        accepted = accepted_of(played, len(named), right=right) or acts_again(quick, played)
         if accepted is not None and (beside is now or _is_lower(accepted.found, now)):
             one = Named(accepted.effect, played, accepted, own_unknowns(accepted, accepted.effect))
             worth = worth_a_name(one, accepted.found, scales)

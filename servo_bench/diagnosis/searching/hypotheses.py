@@ -319,7 +319,10 @@ def _sizes(effect: Effect, s: Scales) -> tuple[float, ...]:
         "torque_constant_droop": tuple(k / s.currents_a[0] ** 2 for k in (0.05, 0.2)),
         "thermal_torque_constant": (0.05,),
         "current_limit": tuple(1.0 / current for current in (*s.peaks_a, *s.currents_a)),
-        "integrator_clamp": tuple(k / s.integral_a[2] for k in (0.35, 0.5, 0.8, 1.3, 2.4, 4.0)),
+        "integrator_clamp": (
+            *(k / s.integral_a[2] for k in (0.35, 0.5, 0.8, 1.3, 2.4, 4.0)),
+            *(k / s.integral_peak_a for k in (1.05, 1.12, 1.25) if s.integral_peak_a > 0.0),
+        ),
         "anti_windup": (30.0, 300.0),
         "current_loop_lag": (2e-4, 8e-4),
         "velocity_filter_lag": (4e-4, 1.5e-3),

@@ -4,11 +4,14 @@ slow     what warms, or turns but a few times; and what the beginning was not su
 behind   what is small beside a load that coasts, where that is known
 again    what was too little for a name: where a load coasts it may have stood in for that, or have
          been hidden by it
+ratio    K_T over J, where both stand at opposite ends of what every rig may have
 gap      where nothing else is wrong: one that is so by a little (`gap`)
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
+
+import numpy as np
 
 from servo_bench.diagnosis.comparing.evidence import Evidence
 from servo_bench.diagnosis.searching.classes import class_of
@@ -47,6 +50,11 @@ asked once more of all that was recorded."""
 FAR_BELOW = 0.8
 BEHIND = frozenset({"backlash_width", "encoder_subdivision"})
 """What is small beside a load that coasts, and asked once more where that is known."""
+
+
+RATIO = ("torque_constant_error", "inertia_error")
+AT_ITS_END = 0.95
+"""Of its band, on which a nuisance is held back by nothing but that."""
 
 
 class Late(NamedTuple):
@@ -98,22 +106,35 @@ def asked_late(
     late: Late, final: Found, named: Sequence[Named], open_: frozenset[str]
 ) -> Named | None:
     """A cause that only all of the recording shows: a slow one, one that the beginning could not be
-    sure of, or where nothing else is wrong a gap that is so by a little."""
+    sure of, a ratio that its bands hold back, or where nothing else is wrong a gap that is so by a
+    little."""
     if len(named) == MOST_CAUSES:
         return None
     slow = SLOW | BEHIND if is_coasting(final.model) else SLOW
     unsure_of = open_ - slow - (OTHERWISE if is_coasting(final.model) else frozenset())
     out = frozenset().union(*(class_of(n.effect) for n in named))
     rivals = frozenset(REFINES[effect] for effect in slow & REFINES.keys()) - unsure_of
-    asked = [h for h in late.candidates if h.effect in (slow | rivals | unsure_of) - out]
+    strained = held_back(final) - out
+    asked = [h for h in late.candidates if h.effect in (slow | rivals | unsure_of | strained) - out]
 
     def is_able(one: Contender) -> bool:
         """What was asked before, of as much as shows it, is a rival here and no more."""
-        known = one.effect in rivals or (one.effect in unsure_of and not promises(one))
+        unsure_still = one.effect in unsure_of - strained and not promises(one)
+        known = one.effect in rivals or unsure_still
         return passes_slowly(one) and not known
 
     found = _play_late_round(late, final, asked, is_able)
     return found or (None if named else play_gap(late.whole, final, late.candidates, late.scales))
+
+
+def held_back(final: Found) -> frozenset[str]:
+    """K_T and J where their bands hold back what they are known by, K_T/J: both are at the end that
+    makes it larger, or both at the one that makes it smaller."""
+    pairs = zip(final.unknowns, final.values, strict=True)
+    share = {u.effect: float(v) / u.high for u, v in pairs if u.effect in RATIO and u.high < np.inf}
+    first, second = (share.get(effect, 0.0) for effect in RATIO)
+    strained = first * second < 0.0 and min(abs(first), abs(second)) > AT_ITS_END
+    return frozenset(RATIO) if strained else frozenset()
 
 
 def unsure(failed: Sequence[Round]) -> frozenset[str]:

@@ -30,6 +30,7 @@ class Scales(NamedTuple):
     gap_rad: float
     inertia_kg_m2: float
     peaks_a: tuple[float, ...] = ()
+    integral_peak_a: float = 0.0
     seconds: float = 0.0
 
     @property
@@ -56,7 +57,8 @@ def yielding(inertia_kg_m2: float) -> float:
 
 def scales_of(model: Model, commands_rad_s: np.ndarray, durations_s: np.ndarray | float) -> Scales:
     """From the nominal rig's own simulation. `currents_a` are high quantiles of its size at the
-    samples, `peaks_a` of what flows between them: a stiff loop's jump is over in a millisecond.
+    samples, `peaks_a` of what flows between them: a stiff loop's jump is over in a millisecond;
+    `integral_peak_a` is the most that the controller's integral comes to, and that seldom.
     """
     nominal, done = model.nominal, model.simulate(commands_rad_s, durations_s)
     current = np.abs(done.motor_current_a)
@@ -73,6 +75,7 @@ def scales_of(model: Model, commands_rad_s: np.ndarray, durations_s: np.ndarray 
         currents_a=_quantiles(current, (0.98, 0.92, 0.8)),
         peaks_a=_quantiles(_within(model, commands_rad_s, durations_s), (0.998, 0.98, 0.94)),
         integral_a=_quantiles(integral, (0.98, 0.9, 0.75)),
+        integral_peak_a=float(np.max(integral, initial=0.0)),
         command_rad_s=max(float(np.abs(commands_rad_s).max()), 1e-9),
         jump_rad_s=max(float(np.sqrt(np.mean(jumps**2))) if jumps.size else 0.0, 1e-9),
         gap_rad=nominal.backlash_gap_rad,

@@ -1,0 +1,55 @@
+"""What the load's encoder says wrong by itself, put into the final fit as it was read off the data.
+
+Beside a load that coasts a wave of a count gains no fit enough, among thousands of samples that a
+bounce spoils; it is read off the others (`reading.revolution`, `reading.subdivision`).
+"""
+
+from collections.abc import Collection, Sequence
+
+from servo_bench.diagnosis.comparing.evidence import Evidence
+from servo_bench.diagnosis.reading.reading import Reading
+from servo_bench.diagnosis.reading.revolution import EFFECTS, turn_waves
+from servo_bench.diagnosis.reading.subdivision import EFFECT, subdivision
+from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting
+from servo_bench.diagnosis.searching.gate import material_sizes
+from servo_bench.diagnosis.searching.scales import Scales
+from servo_bench.diagnosis.searching.seeking import Found, seek
+from sim_rig.effects import find_effect
+
+READ_OFF = (*EFFECTS, EFFECT)
+
+
+def with_readings(
+    whole: Evidence, final: Found, scales: Scales, out: Collection[str]
+) -> tuple[Found, tuple[Reading, ...]]:
+    """The final fit with what the load's encoder says wrong by itself, as it was read off the data:
+    none of `out`, and none that a round has found already."""
+    readings, seen = list[Reading](), whole.fitted[0]
+    if not OTHERWISE & final.model.effects.keys() or is_coasting(final.model):
+        waves = (wave.reading() for wave in turn_waves(seen, final.model))
+        readings += [r for r in waves if _is_new(r, final, out) and _is_large(r, scales)]
+    final = _put(whole, final, readings)
+    scale = subdivision(seen, final.model)
+    if scale is not None and _is_new(scale.reading(), final, out):
+        readings.append(scale.reading())
+        final = _put(whole, final, readings[-1:])
+    return final, tuple(readings)
+
+
+def _is_new(reading: Reading, final: Found, out: Collection[str]) -> bool:
+    return reading.effect not in out and reading.effect not in final.model.effects
+
+
+def _is_large(reading: Reading, scales: Scales) -> bool:
+    """Enough for a name."""
+    strength = find_effect(reading.effect).strengths[0]
+    return reading.settings[strength] >= material_sizes(scales)[reading.effect]
+
+
+def _put(whole: Evidence, final: Found, readings: Sequence[Reading]) -> Found:
+    if not readings:
+        return final
+    model = final.model
+    for one in readings:
+        model = model.with_effect(one.effect, **one.settings)
+    return seek(whole, model, final.unknowns, final.sigma, iterations=1, first=2)

@@ -15,6 +15,9 @@ a slew limit, a dead zone) is sized by what the rig and the command ask for:
     "1/integral"      the reciprocal of what the controller's integral then comes to
     "inertia"         J
 
+A bias makes V up to 1.3 times half the largest jump: a limit or clamp of 1.5 cuts an eighth off what
+that asks for, and one of 1.25 might cut nothing.
+
 `beside` are other strengths without which the effect has nothing to act on (friction that swings
 needs friction); `also` names what they are. `phases` are drawn from a turn, `choices` at random.
 """
@@ -213,10 +216,10 @@ IN_THE_CATALOGUE = (
     ),
     Hiding("inertia_error", "inertia_error", 0.05, 0.3, signed=True),
     # drive
-    Hiding("current_limit", "current_limit_per_a", 1.25, 2.9, per="1/peak"),
+    Hiding("current_limit", "current_limit_per_a", 1.5, 2.9, per="1/peak"),
     Hiding("current_lag", "current_lag_s", 0.1e-3, 1e-3),
     Hiding("velocity_filter", "velocity_filter_s", 0.2e-3, 3e-3),
-    Hiding("integrator_clamp", "integrator_clamp_per_a", 1.2, 4.0, per="1/integral"),
+    Hiding("integrator_clamp", "integrator_clamp_per_a", 1.5, 4.0, per="1/integral"),
     Hiding(
         "anti_windup",
         "anti_windup_per_s",

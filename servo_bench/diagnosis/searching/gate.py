@@ -158,8 +158,10 @@ def passes(contender: Contender, *, named: int = 0, right: bool = False) -> bool
     `named` causes are in the base already; `right`: it misses no more than it may.
     """
     least = FURTHER_GAIN if right else SECOND_GAIN if named else HELD_GAIN
-    if contender.seen_gain > MOST_OF_IT or min(contender.seen_gain, contender.held_gain) > MUCH:
-        return _sure(contender) and contender.held_gain > FURTHER_GAIN
+    much = min(contender.seen_gain, contender.held_gain) > MUCH
+    takes_most = contender.seen_gain > MOST_OF_IT or much
+    if takes_most and contender.held_gain > FURTHER_GAIN and _sure(contender):
+        return True
     return (
         contender.seen_z > SEEN_Z
         and contender.held_z > HELD_Z

@@ -15,8 +15,8 @@ a slew limit, a dead zone) is sized by what the rig and the command ask for:
     "1/integral"      the reciprocal of what the controller's integral then comes to
     "inertia"         J
 
-A bias makes V up to 1.3 times half the largest jump: a limit or clamp of 1.5 cuts an eighth off what
-that asks for, and one of 1.25 might cut nothing.
+A bias makes V up to 1.3 times half the largest jump: a limit or clamp of 1.5 cuts an eighth off
+what that asks for, and one of 1.25 might cut nothing.
 
 `beside` are other strengths without which the effect has nothing to act on (friction that swings
 needs friction); `also` names what they are. `phases` are drawn from a turn, `choices` at random.

@@ -26,15 +26,16 @@ EFFECT = "encoder_subdivision"
 LOWEST_ORDER, HIGHEST_ORDER = 16, 4200
 ROWS, FEWEST = 7, 100
 """What is slow is the middle of so many rows; and the fewest samples of which lines are asked."""
-STANDS_OUT = {ROWS: 30.0, 25: 45.0}
-"""Of a line, by the rows whose middle is slow: with few, chance made lines up to 21 in seven nulls
-on development seeds; with many up to 33, and bounces in the gap hide less. 30 others had none."""
+STANDS_OUT, NAMED = {ROWS: 30.0, 25: 45.0}, 1.25
+"""Of a line that is tried, by the rows whose middle is slow, and so many times that of one that is
+named by itself: with few, chance made lines up to 31 in some fifty nulls of development seeds; with
+many up to 40, and bounces in the gap hide less."""
 BEYOND = 4.0
 """Errors beyond so many deviations count for nothing: bounces would make lines of their own."""
 PLACES = 1 << 17
 """A revolution's, by which an angle is told for a line: a fifteenth of a radian of the highest."""
 TURNS = 4
-CLEARLY, AGREES, NOISIER = 4.5, 3.0, 3.0
+CLEARLY, AGREES, NOISIER = 6.0, 3.0, 3.0
 """Standard errors: of the whole wave beyond zero; and of what both halves of the record may differ
 by. What is quick and so much noisier than the sensor at rest is the simulation's, not the disc's:
 it was 1.0 to 2.6 of that on 23 rigs of development seeds, and 7 and 30 on two that coast."""
@@ -86,7 +87,7 @@ def load_lines(comparison: Comparison, model: Model, most: int = 3) -> tuple[Ord
 def subdivision(comparison: Comparison, model: Model) -> Subdivision | None:
     """The strongest line's wave, where both halves of the recording have the same one."""
     scale = _scale(comparison, model)
-    lines = () if scale is None else _lines(scale, 1)
+    lines = () if scale is None else _lines(scale, 1, NAMED)
     if scale is None or not lines:
         return None
     order, half = lines[0].order, scale.angle.size // 2
@@ -133,7 +134,7 @@ def _spread(values: Array) -> float:
     return 1.4826 * float(np.median(np.abs(values)))
 
 
-def _lines(scale: _Scale, most: int) -> tuple[OrderLine, ...]:
+def _lines(scale: _Scale, most: int, least: float = 1.0) -> tuple[OrderLine, ...]:
     by_rows = {rows: _heights(scale, rows) for rows in STANDS_OUT}
     beyond = np.max([heights / STANDS_OUT[rows] for rows, heights in by_rows.items()], axis=0)
     highest = np.max(list(by_rows.values()), axis=0)
@@ -142,7 +143,7 @@ def _lines(scale: _Scale, most: int) -> tuple[OrderLine, ...]:
     for place in np.argsort(-beyond)[:40]:
         order, height = float(place), float(highest[place])
         apart = all(abs(order - f.order) > max(3.0, 2.0 / turns) for f in found)
-        if beyond[place] > 1.0 and apart:
+        if beyond[place] > least and apart:
             found.append(OrderLine(order, height / scale.angle.size, height))
     return tuple(found[:most])
 

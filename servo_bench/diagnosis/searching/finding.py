@@ -196,7 +196,7 @@ def find_causes(
         (final, named), absorbed = joint, []
         rounds += [n.round for n in named]
     if not named:  # a line of its error may repeat with the shaft by chance
-        final = with_coasting(whole, final)
+        final = _coasting_or_not(whole, final, plain)
     one = asked_late(late, final, named, unsure(failed))
     if one is not None:
         rounds.append(one.round)
@@ -236,6 +236,16 @@ def find_causes(
         notes=(*ready.notes, *_of_the_rows(came, rows)),
         seconds=time.perf_counter() - began,
     )
+
+
+def _coasting_or_not(whole: Evidence, final: Found, plain: Found) -> Found:
+    """The final fit beside a load that coasts. What was too small for a name may have stood in for
+    it, and given the load a motion of its own: the better of the two."""
+    if not OTHERWISE & final.model.effects.keys():
+        return with_coasting(whole, final)
+    coasts = with_coasting(whole, plain)
+    better = coasts.errors.cost(final.sigma) < final.errors.cost(final.sigma)
+    return coasts if better and is_coasting(coasts.model) else final
 
 
 def _coasting_at_last(

@@ -39,6 +39,9 @@ WORTH_ANYHOW = 0.05
 STARTS, MASSES = (1.0, 0.5, 0.25, 2.0), (1.0, 0.5, 0.25, 0.12)
 """Of a trial's size, and of the mass that its vehicle carries: how a load slows is the two's ratio,
 and a search from a wrong one ends far off."""
+CUTTING = frozenset({"current_limit", "integrator_clamp"})
+NEAR = (0.94, 0.88, 0.82, 0.75)
+"""Of a trial's size too, of what cuts off: an eighth less may cut nothing, which has no slope."""
 ALIKE, ONE_KIND_ALIKE, AS_GOOD = 0.95, 0.9, 0.04
 """Contenders that change the same, and of which none gains so much more, are told apart by how
 much they assume: the one with fewer free numbers and the shorter law is taken. Where one refines
@@ -276,7 +279,8 @@ def _fitted(
         ]
         return min(ends, key=lambda end: end.cost)
     masses = MASSES if VEHICLE in one.trial.beside else (1.0,)
-    sizes = [one.trial.times(s).carrying(m) for s, m in product(STARTS, masses)]
+    shares = (*STARTS, *NEAR) if one.trial.effect in CUTTING else STARTS
+    sizes = [one.trial.times(s).carrying(m) for s, m in product(shares, masses)]
     return _from(quick, base, one.hypothesis, sizes, first)
 
 

@@ -97,4 +97,8 @@ def test_a_faint_scale_is_a_cause_and_the_extended_rig_has_it(seed: int) -> None
     assert verdict.effects[SCALE]["line_order"] == LINES
     found = verdict.causes[0].parameters["amplitude_rad"]
     assert found.value == pytest.approx(wave["amplitude_rad"], abs=4.0 * found.standard_error)
+    error = verdict.error
+    assert error is not None
+    assert error.without_causes is not None
+    assert error.after < error.without_causes <= 1.001 * error.before
     assert verdict_of(find_causes([recording], MODEL, only=("misalignment",))).names == ()

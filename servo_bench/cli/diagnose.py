@@ -17,7 +17,7 @@ from servo_bench.diagnosis.concluding import conclude
 from servo_bench.diagnosis.fitting.model_file import load_model, model_text
 from servo_bench.diagnosis.judging.extended import extended_rig, found_model, rig_text
 from servo_bench.diagnosis.judging.undecided import check_effects
-from servo_bench.diagnosis.judging.verdict import Cause, Verdict
+from servo_bench.diagnosis.judging.verdict import Cause, ErrorFigures, Verdict
 from servo_bench.errors import ConfigError
 from servo_bench.recording.mcap_file import load
 from servo_bench.report.diagnosis_page import diagnosis_report
@@ -153,12 +153,7 @@ def _show(verdict: Verdict) -> None:
                 table.add_row(*row)
         console.print(table)
     if verdict.error is not None:
-        error = verdict.error
-        console.print(
-            f"held out, {error.signal}: rms {error.before:.4g} before, {error.after:.4g} after, "
-            f"noise {error.noise_floor:.2g} {error.unit}",
-            soft_wrap=True,
-        )
+        console.print(_held_out(verdict.error), soft_wrap=True)
     if verdict.signature is not None:
         console.print(escape(verdict.signature.words), soft_wrap=True)
     for word, sentences in (("note", verdict.notes), ("undecided", verdict.undecided)):
@@ -166,6 +161,15 @@ def _show(verdict: Verdict) -> None:
             console.print(f"[yellow]{word}:[/] {escape(sentence)}", soft_wrap=True)
     if verdict.next_run:
         console.print(f"[bold]next:[/] {escape(verdict.next_run)}", soft_wrap=True)
+
+
+def _held_out(error: ErrorFigures) -> str:
+    without = error.without_causes
+    alone = f"{without:.4g} without causes, " if without is not None else ""
+    return (
+        f"held out, {error.signal}: rms {error.before:.4g} before, {alone}{error.after:.4g} after, "
+        f"noise {error.noise_floor:.2g} {error.unit}"
+    )
 
 
 def _rows(cause: Cause) -> Iterator[tuple[str, ...]]:

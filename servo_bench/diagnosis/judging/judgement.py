@@ -13,11 +13,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from servo_bench.diagnosis.comparing.comparison import Comparison, compare
 from servo_bench.diagnosis.comparing.evidence import block_z
-from servo_bench.diagnosis.comparing.rounding import floor_of
-from servo_bench.diagnosis.comparing.rows import Array, Mask
+from servo_bench.diagnosis.comparing.rows import Array
 from servo_bench.diagnosis.fitting.free import unit_of
+from servo_bench.diagnosis.judging.gain import error_figures
 from servo_bench.diagnosis.judging.intervals import limits_of, names_of, quantities, standard_errors
 from servo_bench.diagnosis.judging.sensors import misread
 from servo_bench.diagnosis.judging.steadiness import CHANGES, slope_of
@@ -71,7 +70,7 @@ def verdict_of(finding: Finding) -> Verdict:
     if kind == "unknown":
         notes += misread(finding.whole.fitted[0], finding.nominal, finding.final.model)
     model = finding.final.model if causes else finding.base.model
-    error = _error(finding, model)
+    error = error_figures(finding, model, [c.effect for c in named])
     return Verdict(
         verdict=kind,
         sentence=_sentence(kind, named, strange, error, told),
@@ -249,34 +248,6 @@ def confidence(evidence: float, over_rival: float | None, screened_gain: float) 
     return float(1.0 / (1.0 + np.exp(-score)))
 
 
-def _error(finding: Finding, model: Model) -> ErrorFigures | None:
-    """rms of the first signal on data that no fit saw: of the nominal model with what was sent, of
-    the other with what was heard."""
-    judge = finding.held_out or finding.recordings[0]
-    whole = finding.held_out is not None
-    comparison, sent = (
-        compare(one, model, finding.whole.fitted[0].block) for one in (judge, finding.told)
-    )
-    where = comparison.seen | comparison.held_out if whole else comparison.held_out
-    before, after = _rms(sent, finding.nominal, where), _rms(comparison, model, where)
-    first, period_s = comparison.signals[0], comparison.source.rows.period_s
-    floor = floor_of(first, finding.quantum_rad, period_s)
-    explainable = before**2 - floor**2
-    share = (before**2 - after**2) / explainable if explainable > 0.0 else 0.0
-    return ErrorFigures(
-        before=before,
-        after=after,
-        noise_floor=floor,
-        share_explained=float(np.clip(share, 0.0, 1.0)),
-        signal=first.name,
-        unit=first.unit,
-    )
-
-
-def _rms(comparison: Comparison, model: Model, where: Mask) -> float:
-    return float(comparison.rms(comparison.errors_of([model])[0], where)[0])
-
-
 def _absorbed(finding: Finding) -> Iterator[str]:
     for effect in dict.fromkeys(finding.absorbed):
         strength = find_effect(effect).strengths[0]
@@ -354,8 +325,13 @@ def _sentence(
         gain = (
             " With it the simulation's error on data that no fit saw falls from "
             f"{error.before:.3g} to {error.after:.3g} {error.unit}, "
-            f"{100 * error.share_explained:.0f} % of what can be explained."
+            f"{100 * error.share_explained:.0f} % of what can be explained"
         )
+        if error.without_causes is not None:
+            gain += (
+                f"; with what every rig has beside its drawing alone, to {error.without_causes:.3g}"
+            )
+        gain += "."
     if kind == "named":
         told = " and ".join(_told(c) for c in named)
         return f"The simulation lacks {told}.{gain}"

@@ -60,6 +60,9 @@ class ErrorFigures(Value):
     """The nominal simulation's error, rms, in `unit`."""
     after: float
     """The error of the fitted model, rms, in `unit`."""
+    without_causes: float | None = None
+    """That of the best model without the causes, every rig's own numbers fitted; none where no
+    cause is named."""
     noise_floor: float
     """What the sensors alone would leave, rms, in `unit`."""
     share_explained: float

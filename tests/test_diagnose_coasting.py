@@ -51,6 +51,7 @@ def test_nothing_coasts_where_the_twist_is_right_or_more_than_the_twist_is_wrong
     assert with_coasting(seen, found) is found
 
 
+@pytest.mark.long
 def test_a_gap_that_is_wrong_is_found_beside_a_load_that_coasts_and_bounces() -> None:
     """How far it goes on shows only in the right gap; rigid play finds neither."""
     change_rad = 0.12 * NOMINAL.backlash_gap_rad
@@ -72,7 +73,7 @@ def test_friction_of_a_load_that_coasts_is_taken_off_the_motors() -> None:
     assert effects["load_friction"].torque_nm > 0.0
 
 
-@pytest.mark.parametrize("face_s", [1e-6, 2e-5, 1.2e-4, 1e-3])
+@pytest.mark.parametrize("face_s", [pytest.param(1e-6, marks=pytest.mark.long), 2e-5, 1.2e-4, 1e-3])
 def test_what_a_face_gives_back_of_a_blow(face_s: float) -> None:
     """A mass on a spring and damper, until the force is used up."""
     model = coasting(MODEL, SLOWED_RAD_S2, face_s)

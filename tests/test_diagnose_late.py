@@ -45,6 +45,7 @@ def again(hidden: Model, seed: int, asked: frozenset[str] = ASKED) -> list[Named
     return None if found is None else found[1]
 
 
+@pytest.mark.long
 def test_a_coupling_is_found_where_the_load_coasts_beside_it() -> None:
     found = again(coasting(SOFT, SLOWED_RAD_S2), 61)
     assert found is not None

@@ -26,6 +26,7 @@ def asked(hidden: Model, seed: int, effect: str) -> Finding:
     return find_causes([recorded(hidden, seed, slots=SLOTS)], MODEL, only=(effect,))
 
 
+@pytest.mark.long
 def test_friction_and_mass_of_a_load_that_comes_to_rest_in_its_gap_are_found() -> None:
     found = asked(light_load(3e-3), 25, "load_friction")
     assert [n.effect for n in found.named] == ["load_friction", "contact"]

@@ -32,6 +32,7 @@ def test_rounding_adds_to_every_signal_what_it_is_said_to_add(quantum_rad: float
             assert rms == pytest.approx(said, rel=0.15), signal.name
 
 
+@pytest.mark.long
 def test_a_very_coarse_encoder_is_named_and_the_extended_rig_has_it() -> None:
     """Its steps are a fifth of the gap, where no simulation comes any nearer."""
     rig, quantum_rad = Model(nominal_with(backlash_gap_rad=math.radians(0.6))), math.radians(0.12)

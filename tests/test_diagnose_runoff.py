@@ -40,7 +40,9 @@ def fitted(
     return seek(seen, start, merged(BAND, own), iterations=4), hypothesis
 
 
-@pytest.mark.parametrize("named", ["current_loop_lag", "transport_delay"])
+@pytest.mark.parametrize(
+    "named", [pytest.param("current_loop_lag", marks=pytest.mark.long), "transport_delay"]
+)
 def test_of_two_that_change_nearly_the_same_everything_tells_which(named: str) -> None:
     hidden = MODEL.with_effect("current_loop_lag", lag_s=LAG_S)
     whole = evidence_of([recorded(hidden, 61, slots=1200)], MODEL, block="loop")
@@ -113,7 +115,9 @@ def friction(load_share: float) -> Model:
     )
 
 
-@pytest.mark.parametrize(("share", "named"), [(0.03, {"contact"}), (0.0015, set())])
+@pytest.mark.parametrize(
+    ("share", "named"), [pytest.param(0.03, {"contact"}, marks=pytest.mark.long), (0.0015, set())]
+)
 def test_a_mass_behind_friction_is_a_cause_where_the_motor_feels_it(
     share: float, named: set[str]
 ) -> None:
@@ -138,6 +142,7 @@ def test_a_mass_is_tried_that_the_known_friction_slows_down() -> None:
     assert slowed
 
 
+@pytest.mark.long
 def test_a_search_among_faces_goes_on_where_one_ended() -> None:
     """From faces that are far too stiff a search by secants ends in a valley of its own."""
     hidden = friction(0.05)

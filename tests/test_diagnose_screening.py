@@ -82,7 +82,10 @@ def test_two_templates_tell_a_misalignment_of_any_phase(phase_rad: float) -> Non
     assert abs(np.sin(off_rad)) < 0.1  # half a turn is the same joint
 
 
-@pytest.mark.parametrize(("compliance_rad_per_nm", "hub_share"), [(0.045, 0.3), (0.012, 0.45)])
+@pytest.mark.parametrize(
+    ("compliance_rad_per_nm", "hub_share"),
+    [pytest.param(0.045, 0.3, marks=pytest.mark.long), (0.012, 0.45)],
+)
 def test_a_resonance_is_sought_from_trials_as_they_were_tried(
     compliance_rad_per_nm: float, hub_share: float
 ) -> None:
@@ -126,6 +129,7 @@ def test_a_gap_that_is_a_little_wrong_is_a_cause_where_nothing_else_is(
         assert gap == pytest.approx(change_rad, rel=0.05)
 
 
+@pytest.mark.long
 def test_what_promised_less_has_its_turn_where_nothing_held_what_it_promised(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -102,3 +102,17 @@ def test_a_faint_scale_is_a_cause_and_the_extended_rig_has_it(seed: int) -> None
     assert error.without_causes is not None
     assert error.after < error.without_causes <= 1.001 * error.before
     assert verdict_of(find_causes([recording], MODEL, only=("misalignment",))).names == ()
+
+
+def test_a_scale_that_a_round_has_found_is_told_as_it_was_read() -> None:
+    """Two counts: a round finds it, and a rival may take its confidence; the line leaves no doubt."""
+    wave = {"amplitude_rad": 2e-4, "line_order": float(LINES), "phase_rad": 0.4}
+    recording = recorded(MODEL.with_effect(SCALE, **wave), 47, slots=SHORT)
+    finding = find_causes([recording], MODEL, only=(SCALE,))
+    assert any(c.effect == SCALE for played in finding.rounds for c in played.contenders)
+    assert finding.named == ()
+    (one,) = verdict_of(finding).causes
+    found = one.parameters["amplitude_rad"]
+    assert one.confidence > 0.95
+    assert found.value == pytest.approx(wave["amplitude_rad"], abs=4.0 * found.standard_error)
+    assert found.standard_error < 1e-5

@@ -210,7 +210,7 @@ def find_causes(
     grid = None if "quantisation" in without else lattice(whole.fitted[0], final.model)
     final, plain = _coasting_at_last(whole, final, plain, nothing=not (named or absorbed))
     out = {e for e in READ_OFF if e in without or (only and e not in only)}
-    final, readings = with_readings(whole, final, scales, out)
+    final, named, readings = with_readings(whole, final, named, scales, out)
     return Finding(
         recordings=recordings,
         held_out=held_out,

@@ -28,6 +28,8 @@ from servo_bench.diagnosis.searching.unknowns import Unknown, merged
 from sim_rig.errors import EffectError
 
 NEEDED_Z, NEEDED_SHARE = 4.0, 0.01
+SOME = 0.04
+"""Of what was seen, and of what was held out, that a coupling takes at least."""
 CARRIERS = {"anti_windup": "current_limit"}
 """Effects that act beside another only, which is a cause by itself."""
 
@@ -113,9 +115,11 @@ def is_worth_it(one: Named, found: Found, scales: Scales) -> bool:
     Beside a load that coasts a spring fits nothing else: there what was seen counts as well. Of
     rigs with nothing wrong it took 2.4 % of that at most, of 14, and of what was held out 12 %.
     Where a torque presses the load to its faces, which give way as well, a coupling must take some
-    of both.
+    of both. Nowhere is a coupling one that takes next to nothing of what was seen.
     """
     gain, seen_gain = one.contender.held_gain, one.contender.seen_gain
+    if one.effect in SPRINGS - {VEHICLE} and min(gain, seen_gain) < SOME:
+        return False
     if one.effect in SPRINGS and is_coasting(found.model):
         gain = max(gain, seen_gain)
     elif one.effect in SPRINGS - {VEHICLE} and ON_THE_LOAD & found.model.effects.keys():

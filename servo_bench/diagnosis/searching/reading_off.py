@@ -12,6 +12,7 @@ from servo_bench.diagnosis.reading.revolution import EFFECTS, turn_waves
 from servo_bench.diagnosis.reading.subdivision import EFFECT, subdivision
 from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting
 from servo_bench.diagnosis.searching.gate import material_sizes
+from servo_bench.diagnosis.searching.joint import Named
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from sim_rig.effects import find_effect
@@ -20,20 +21,25 @@ READ_OFF = (*EFFECTS, EFFECT)
 
 
 def with_readings(
-    whole: Evidence, final: Found, scales: Scales, out: Collection[str]
-) -> tuple[Found, tuple[Reading, ...]]:
-    """The final fit with what the load's encoder says wrong by itself, as it was read off the data:
-    none of `out`, and none that a round has found already."""
+    whole: Evidence, final: Found, named: Sequence[Named], scales: Scales, out: Collection[str]
+) -> tuple[Found, list[Named], tuple[Reading, ...]]:
+    """The final fit with what the load's encoder says wrong by itself, as it was read off the data,
+    none of `out`; the causes that rounds have named, less those; and the readings.
+
+    A wave once or twice a revolution that a round has found already stays as it was fitted; the
+    disc's is surer and sharper as it is read.
+    """
     readings, seen = list[Reading](), whole.fitted[0]
     if not OTHERWISE & final.model.effects.keys() or is_coasting(final.model):
         waves = (wave.reading() for wave in turn_waves(seen, final.model))
         readings += [r for r in waves if _is_new(r, final, out) and _is_large(r, scales)]
     final = _put(whole, final, readings)
-    scale = subdivision(seen, final.model)
-    if scale is not None and _is_new(scale.reading(), final, out):
+    scale = subdivision(seen, final.model.without(EFFECT)) if EFFECT not in out else None
+    if scale is not None:
         readings.append(scale.reading())
         final = _put(whole, final, readings[-1:])
-    return final, tuple(readings)
+    read = {one.effect for one in readings}
+    return final, [n for n in named if n.effect not in read], tuple(readings)
 
 
 def _is_new(reading: Reading, final: Found, out: Collection[str]) -> bool:
@@ -49,7 +55,8 @@ def _is_large(reading: Reading, scales: Scales) -> bool:
 def _put(whole: Evidence, final: Found, readings: Sequence[Reading]) -> Found:
     if not readings:
         return final
-    model = final.model
+    model, read = final.model, {one.effect for one in readings}
     for one in readings:
         model = model.with_effect(one.effect, **one.settings)
-    return seek(whole, model, final.unknowns, final.sigma, iterations=1, first=2)
+    unknowns = tuple(u for u in final.unknowns if u.effect not in read)
+    return seek(whole, model, unknowns, final.sigma, iterations=1, first=2)

@@ -14,8 +14,8 @@ from servo_bench.errors import ConfigError
 from servo_bench.jobs import executor
 from tests.campaign import main, run, summary
 from tests.trials import told
-from tests.trials.asking import ASKED, NUISANCES, Campaign
-from tests.trials.drawing import question_from
+from tests.trials.asking import ASKED, Campaign
+from tests.trials.drawing import NUISANCES, question_from
 from tests.trials.lines import Lines
 from tests.trials.measuring import bench
 from tests.trials.picture import draw

@@ -4,18 +4,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from servo_bench.errors import ConfigError
-from tests.trials.drawing import CAN_BE_REMOVED, PERIOD_S, SECONDS, Kind, Question
+from tests.trials.drawing import CAN_BE_REMOVED, NUISANCES, PERIOD_S, SECONDS, Kind, Question
 from tests.trials.limits import has_limit
 from tests.trials.names import Channels
 from tests.trials.seeds import BLOCK, BLOCKS, JUDGING_FROM, MULTIPLE_BLOCKS, PER_EFFECT
 from tests.truth.catalogue import IN_THE_CATALOGUE, OUTSIDE_THE_CATALOGUE
 
 EVERY_EFFECT = tuple(hiding.name for hiding in IN_THE_CATALOGUE)
-NUISANCES = ("contact_stiffness", "contact_damping")
-"""Not asked unless they are named: no rig's file states what a face gives and gives back, so there
-is nothing for a verdict to correct. It is fitted as a nuisance, as it must be below some 5 kHz of
-logging: the lightest load presses a face by 0.3 mN m, which is half a count of its softest give.
-They were asked until 2026-11-25, and in 0 of 32 trials a face had a name."""
 ASKED = tuple(name for name in EVERY_EFFECT if name not in NUISANCES)
 EVERY_OUTSIDER = tuple(hiding.name for hiding in OUTSIDE_THE_CATALOGUE)
 

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from servo_bench.diagnosis.comparing.evidence import block_z
-from servo_bench.diagnosis.comparing.rows import Array
+from servo_bench.diagnosis.comparing.rows import Array, Mask
 from servo_bench.diagnosis.fitting.free import unit_of
 from servo_bench.diagnosis.judging.gain import error_figures
 from servo_bench.diagnosis.judging.intervals import limits_of, names_of, quantities, standard_errors
@@ -30,7 +30,7 @@ from servo_bench.diagnosis.judging.verdict import (
 from servo_bench.diagnosis.searching.classes import class_of, splitting
 from servo_bench.diagnosis.searching.coasting import given_back, is_coasting, slowing_rad_s2
 from servo_bench.diagnosis.searching.finding import Finding
-from servo_bench.diagnosis.searching.gate import HELD_Z, MOST_OF_IT, RIGHT
+from servo_bench.diagnosis.searching.gate import HELD_Z, MOST_OF_IT, RIGHT, RIGHT_ALREADY
 from servo_bench.diagnosis.searching.hypotheses import DETECTED
 from servo_bench.diagnosis.searching.joint import Named
 from servo_bench.diagnosis.searching.readying import order_tolerance
@@ -40,6 +40,9 @@ from sim_rig.model import Model
 FAR_BETTER, NEARLY_RIGHT, BEST_LAW = 10.0, 2.5, 40.0
 """So many times better than before, and so near, is explained too: what remains is noted. No law is
 exact: of what is far off, a fortieth may be left."""
+WORSE = 1.25
+"""So many times as wrong as before, and more than a right simulation usually is, is not explained:
+a notch in the controller was called a lag and a soft coupling, which put the twist wrong."""
 SURE = 6.0
 """A strength of fewer standard errors is no cause, because a sandwich of few blocks is too sure;
 unless what it gains, seen and held out, stands that far beyond chance, or is most of all."""
@@ -142,9 +145,18 @@ def _is_right(finding: Finding) -> bool:
 
 def _explained(finding: Finding) -> bool:
     """Whether what is left is what a right simulation may miss."""
+    if _worse(finding).any():
+        return False
     after, before = float(finding.misfit_after.max()), float(finding.misfit_before.max())
     near = max(NEARLY_RIGHT, before / BEST_LAW)
     return after <= RIGHT or (before > FAR_BETTER * after and after <= near)
+
+
+def _worse(finding: Finding) -> Mask:
+    """Signals that the causes have made more wrong, shape (signals,): who stands in for something
+    else pays for what he takes elsewhere."""
+    after, before = finding.misfit_after, finding.misfit_before
+    return np.asarray((after > RIGHT_ALREADY) & (after > WORSE * before))
 
 
 def _causes(finding: Finding) -> Iterator[Cause]:

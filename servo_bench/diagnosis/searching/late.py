@@ -114,7 +114,7 @@ def asked_late(
     unsure_of = open_ - slow - (OTHERWISE if is_coasting(final.model) else frozenset())
     out = frozenset().union(*(class_of(n.effect) for n in named))
     rivals = frozenset(REFINES[effect] for effect in slow & REFINES.keys()) - unsure_of
-    strained = held_back(final) - out
+    strained = frozenset[str]() if named else held_back(final)  # beside a cause, by a wrong one
     asked = [h for h in late.candidates if h.effect in (slow | rivals | unsure_of | strained) - out]
 
     def is_able(one: Contender) -> bool:

@@ -37,10 +37,9 @@ PAPER_SHARE = 0.2
 
 NUISANCES = ("contact_stiffness", "contact_damping")
 """Asked only where they are named, and hidden in no pair: no rig's file states what a face gives
-and gives back, so that there is nothing for a verdict to correct. It is fitted as a nuisance, as it
-must be below some 5 kHz of logging: the lightest load presses a face by 0.3 mN m, which is half a
-count of its softest give. Until 2026-11-25 they were asked, and in 0 of 34 trials a face had a
-name."""
+and gives back, so that there is nothing for a verdict to correct, and below some 5 kHz of logging
+they are fitted as nuisances. Until 2026-11-25 they were asked, and in 0 of 34 trials a face had a
+name, though the block sandwich sees most of their range (limits.json)."""
 CAN_BE_REMOVED = tuple(hiding.name for hiding in IN_THE_CATALOGUE if not hiding.also)
 """Causes that act alone: with a companion left to be named, "unknown" would not be the answer."""
 

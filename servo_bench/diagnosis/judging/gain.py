@@ -21,6 +21,9 @@ from servo_bench.diagnosis.searching.finding import Finding
 from sim_rig.errors import SimRigError
 from sim_rig.model import Model
 
+LOST = "missed_samples"
+"""A cause that is no model's but the commands': without it the drive heard what was sent."""
+
 
 def error_figures(finding: Finding, model: Model, causes: Collection[str]) -> ErrorFigures:
     """rms of the first signal on the held-out recording, else on the recording's validation."""
@@ -38,7 +41,9 @@ def error_figures(finding: Finding, model: Model, causes: Collection[str]) -> Er
     return ErrorFigures(
         before=before,
         after=after,
-        without_causes=_without(finding, comparison, where, causes) if causes else None,
+        without_causes=_without(finding, sent if LOST in causes else comparison, where, causes)
+        if causes
+        else None,
         noise_floor=floor,
         share_explained=float(np.clip(share, 0.0, 1.0)),
         signal=first.name,

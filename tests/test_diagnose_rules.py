@@ -1,0 +1,86 @@
+"""Rules by which a contender becomes a cause, and a cause explains: each alone, on numbers."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from servo_bench.diagnosis.judging.judgement import _explained
+from servo_bench.diagnosis.searching.gate import passes
+from servo_bench.diagnosis.searching.joint import is_worth_it
+from servo_bench.diagnosis.searching.late import held_back
+from servo_bench.diagnosis.searching.scales import scales_of
+from servo_bench.diagnosis.searching.unknowns import nuisances
+from sim_rig.model import Model
+from tests.fit_recordings import NOMINAL, commands
+
+MODEL = Model(NOMINAL)
+
+
+def contender(seen: tuple[float, float], held: tuple[float, float]) -> Any:
+    """Gain and z of what was seen, and of what was held out."""
+    return SimpleNamespace(seen_gain=seen[0], seen_z=seen[1], held_gain=held[0], held_z=held[1])
+
+
+@pytest.mark.parametrize(
+    ("seen", "held", "able"),
+    [
+        ((0.64, 7.2), (0.040, 14.7), True),  # most of it, and as sure as anybody must be
+        ((0.05, 7.2), (0.040, 14.7), True),
+        ((0.64, 7.2), (0.040, 2.0), False),
+        ((0.64, 3.5), (0.200, 5.0), True),  # most of it, of both: need not be as sure on one
+        ((0.05, 3.5), (0.200, 5.0), False),
+    ],
+)
+def test_who_takes_more_is_not_asked_for_more(
+    seen: tuple[float, float], held: tuple[float, float], able: bool
+) -> None:
+    assert passes(contender(seen, held)) is able
+
+
+@pytest.mark.parametrize(
+    ("torque_constant", "inertia", "strained"),
+    [
+        (-1.0, 1.0, True),
+        (1.0, -1.0, True),
+        (1.0, 1.0, False),
+        (-1.0, 0.5, False),
+        (0.0, 0.0, False),
+    ],
+)
+def test_a_ratio_is_held_back_where_both_stand_at_opposite_ends(
+    torque_constant: float, inertia: float, strained: bool
+) -> None:
+    shares = {"torque_constant_error": torque_constant, "inertia_error": inertia}
+    unknowns = nuisances(0.036, NOMINAL.backlash_gap_rad)
+    values = np.array([shares.get(u.effect, 0.0) * u.high for u in unknowns])
+    final: Any = SimpleNamespace(unknowns=unknowns, values=values)
+    assert held_back(final) == (frozenset(shares) if strained else frozenset())
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "explained"),
+    [
+        ((18.0, 0.75), (0.9, 0.6), True),
+        ((18.0, 0.75), (0.9, 1.04), False),  # right by all, and one signal worse than it was
+        ((18.0, 0.30), (0.9, 0.60), True),  # worse, and no more than a right one may be
+    ],
+)
+def test_what_makes_a_signal_more_wrong_explains_nothing(
+    before: tuple[float, ...], after: tuple[float, ...], explained: bool
+) -> None:
+    finding: Any = SimpleNamespace(misfit_before=np.array(before), misfit_after=np.array(after))
+    assert _explained(finding) is explained
+
+
+@pytest.mark.parametrize(("seen", "held", "worth"), [(0.02, 0.12, False), (0.06, 0.12, True)])
+def test_a_coupling_takes_some_of_what_was_seen(seen: float, held: float, worth: bool) -> None:
+    soft = MODEL.with_effect(
+        "coupling_compliance", compliance_rad_per_nm=0.01, load_inertia_kg_m2=3e-5
+    )
+    one: Any = SimpleNamespace(
+        effect="coupling_compliance", contender=contender((seen, 9.0), (held, 9.0))
+    )
+    found: Any = SimpleNamespace(model=soft)
+    assert is_worth_it(one, found, scales_of(MODEL, commands(1, 400), 0.008)) is worth

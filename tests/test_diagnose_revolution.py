@@ -7,7 +7,7 @@ import pytest
 
 from servo_bench.diagnosis.comparing.comparison import Comparison, compare
 from servo_bench.diagnosis.comparing.evidence import SCALES
-from servo_bench.diagnosis.reading.revolution import turn_waves
+from servo_bench.diagnosis.reading.revolution import not_at_rest, turn_waves
 from servo_bench.diagnosis.searching.coasting import coasting
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
@@ -77,3 +77,28 @@ def test_half_a_turn_tells_nothing() -> None:
     recording = recorded(eccentric, 60, played=played)
     assert np.ptp(np.asarray(recording["load_angle_rad"])) < math.pi
     assert turn_waves(against(recording), MODEL) == ()
+
+
+@pytest.mark.parametrize(
+    ("there", "fitted", "false"),
+    [
+        (0.0, 2e-4, True),  # a fit bent it to what bounces
+        (2e-4, 2e-4, False),
+        (1.4e-4, 2e-4, False),  # wrong by its size only
+        (2e-4, 6e-4, True),
+    ],
+)
+def test_a_wave_that_the_load_has_not_where_it_rests_is_none(
+    there: float, fitted: float, false: bool
+) -> None:
+    wave = {"phase_rad": 0.7}
+    rig = BOUNCING.with_effect("encoder_eccentricity", amplitude_rad=there, **wave)
+    model = BOUNCING.with_effect("encoder_eccentricity", amplitude_rad=fitted, **wave)
+    found = not_at_rest(against(run(61, rig), model), model)
+    assert found == (frozenset({"encoder_eccentricity"}) if false else frozenset())
+
+
+def test_a_joint_that_the_load_has_not_where_it_rests_is_none() -> None:
+    model = BOUNCING.with_effect("misalignment", angle_rad=math.radians(2.0), phase_rad=0.4)
+    assert not_at_rest(against(run(62, BOUNCING), model), model) == {"misalignment"}
+    assert not_at_rest(against(run(62, model), model), model) == frozenset()

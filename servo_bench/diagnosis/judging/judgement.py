@@ -2,8 +2,8 @@
 
     named     every accepted cause survived, and what is left is what a right simulation may miss
     unknown   more is left than that; or what was found cannot be (a torque line at no whole order);
-              or something stands in the data that no effect makes (a tone, wild samples); or a
-              cause is not as large at the recording's end as it was at its beginning
+              or something stands in the data that no effect makes (a tone, creep, wild samples);
+              or a cause is not as large at the recording's end as it was at its beginning
     none      neither
 
 Numbers have their intervals from `intervals`. Confidence was calibrated on trials of another plant.
@@ -98,6 +98,13 @@ def _strange(finding: Finding) -> Iterator[str]:
             f"A tone of {finding.tone.frequency_hz:.2f} Hz, or so much beside a multiple of "
             f"{rate_hz:.4g} Hz, stands in the load's error, {finding.tone.amplitude_rad:.2g} rad: "
             "it comes from outside of the rig's own motion."
+        )
+    if finding.creep is not None:
+        yield (
+            "The load's angle gives way to the motor's torque slowly: "
+            f"{abs(finding.creep.compliance_rad_per_nm):.2g} rad/N m after some "
+            f"{finding.creep.time_s:.1g} s, {finding.creep.rms_rad:.2g} rad rms. An encoder's "
+            "bracket, glue, or rubber creeps so; look at what holds it."
         )
     if finding.wild >= FEWEST_WILD:
         yield (

@@ -9,32 +9,34 @@ e    error of the load's angle beside the motor's, less the simulation's
 s    the face it rests on, -1 or 1; where the simulation has it between them nothing is asked
 c    where it was counted from
 b    what the gap is wrong by; d_1, d_2: that, as it turns
-v    noise; errors beyond a few of its deviations count for nothing (Tukey's biweight), for a load
-     that bounced is somewhere else
-
-By weighted least squares, with the block sandwich for its covariance. A load that is thrown through
-its gap spoils the cost of a fit by more than so small a wave gains; it does not spoil this.
+v    noise, and a load that bounced (`resting`)
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from servo_bench.diagnosis.comparing.comparison import Comparison
-from servo_bench.diagnosis.comparing.noise import floor_of
 from servo_bench.diagnosis.comparing.rows import Array
 from servo_bench.diagnosis.reading.reading import Reading
+from servo_bench.diagnosis.reading.resting import (
+    NOISIER,
+    Regular,
+    Resting,
+    in_halves,
+    regular,
+    resting,
+)
 from sim_rig.model import Model
 
 ECCENTRIC, MISALIGNED = EFFECTS = ("encoder_eccentricity", "misalignment")
-ON_A_FACE, BEYOND, TURNS = 0.9, 4.0, 8
-"""Of half the way from face to face; deviations that count; and how often they are weighed."""
-BLOCK_S, FEWEST = 0.25, 400
-CLEARLY, AGREES, ALIKE, NOISIER = 8.0, 4.0, 0.3, 3.0
+CLEARLY, AGREES, ALIKE = 8.0, 4.0, 0.3
 """Standard errors of the wave beyond zero; by which both halves of the record may differ, or else
-by such a share of the wave; and by how much more than the sensor at rest the rest may scatter. Of
-ten rigs of development seeds that had none the waves were 0.4 to 3.5 beyond zero; of nine that had
-one of 0.4 to 2 counts, 13 to 82."""
+by such a share of the wave. Of ten rigs of development seeds that had none the waves were 0.4 to
+3.5 beyond zero; of nine that had one of 0.4 to 2 counts, 13 to 82."""
+OF_IT = 0.5
+"""Of a model's wave that the load must have where it rests."""
 LEAST = 0.3
 """Of the sensor's noise at rest: a smaller wave is as well what a simulation misses of the bounces
 (one of 2e-5 rad stood 6.6 errors beyond zero in a gap that was wrong by 2 mrad)."""
@@ -68,83 +70,78 @@ class TurnWave(NamedTuple):
         return Reading(MISALIGNED, settings, errors, sentence)
 
 
-class _Resting(NamedTuple):
-    """Rows with the load on a face: its angle, its error beside the motor's, and the face."""
-
-    angle: Array
-    error: Array
-    face: Array
-    rows_per_block: int
-
-    def part(self, where: slice) -> "_Resting":
-        """Of a part of the recording."""
-        rows = (self.angle[where], self.error[where], self.face[where])
-        return _Resting(*rows, self.rows_per_block)
-
-
 def turn_waves(comparison: Comparison, model: Model) -> tuple[TurnWave, ...]:
     """The waves that are there, in both halves of the recording; none without a motor's encoder."""
-    resting = _resting(comparison, model)
-    if resting is None or np.ptp(resting.angle) < FEWEST_TURNS * 2.0 * np.pi:
+    asked = _asked(comparison, model)
+    if asked is None:
         return ()
-    floor_rad = floor_of(comparison.source.rows, "load_angle_rad", increments=False)
-    found, spread, left = _fitted(resting)
-    if left > NOISIER * floor_rad:
-        return ()
-    half = resting.angle.size // 2
-    halves = [_fitted(resting.part(where)) for where in (slice(half), slice(half, None))]
-    waves = list[TurnWave]()
-    for order in (1, 2):
-        own = slice(2 * order - 2, 2 * order)
-        amplitude = float(np.hypot(*found[own]))
-        error = float(np.sqrt(0.5 * np.trace(spread[own, own])))
-        apart = float(np.hypot(*(halves[0][0][own] - halves[1][0][own])))
-        errors = [0.5 * np.trace(each[1][own, own]) for each in halves]
-        may = max(AGREES * float(np.sqrt(sum(errors))), ALIKE * amplitude)
-        large = amplitude > LEAST * floor_rad
-        clearly = found[own] @ np.linalg.solve(spread[own, own], found[own]) > CLEARLY**2
-        if large and clearly and apart < may:
-            phase = float(np.arctan2(found[own][1], found[own][0]))
-            waves.append(TurnWave(order, amplitude, phase, error))
-    return tuple(waves)
+    rests, columns, whole = asked
+    halves = in_halves(columns, rests.error, rests.rows_per_block)
+    found = {order: _wave(order, whole, rests) for order in (1, 2)}
+    return tuple(w for order, w in found.items() if w is not None and _is_alike(w, halves))
 
 
-def _resting(comparison: Comparison, model: Model) -> _Resting | None:
-    rows, piece = comparison.source.rows, comparison.pieces[0].piece
-    if not (rows.has("load_angle_rad") and rows.has("motor_position_rad")):
-        return None
-    shown = comparison.source.play(model, piece)
-    angle, motor = (
-        rows.channel(name)[piece.rows] for name in ("load_angle_rad", "motor_position_rad")
+def not_at_rest(comparison: Comparison, model: Model) -> frozenset[str]:
+    """Of the model's waves, those that the load has not where it rests: what is left there beside
+    the model is the wave itself, turned round. A fit may have bent one to a load that bounces."""
+    asked = _asked(comparison, model)
+    if asked is None:
+        return frozenset()
+    rests, _, whole = asked
+    left = {order: _wave(order, whole, rests) for order in (1, 2)}
+    return frozenset(
+        effect
+        for effect, wave in zip(EFFECTS, left.values(), strict=True)
+        if effect in model.effects and wave is not None and _undoes(wave, model)
     )
-    twist = np.asarray(shown["load_angle_rad"]) - np.asarray(shown["motor_position_rad"])
-    error = angle - motor - twist
-    way = 0.5 * float(np.ptp(twist))
-    place = (twist - 0.5 * (twist.max() + twist.min())) / max(way, 1e-12)
-    known = np.isfinite(error) & rows.seen[piece.rows] & (np.abs(place) > ON_A_FACE)
-    if known.sum() < FEWEST:
+
+
+def _asked(comparison: Comparison, model: Model) -> tuple[Resting, Array, Regular] | None:
+    """The rows at rest, their columns, and what is regular there; None where that tells nothing."""
+    rests = resting(comparison, model)
+    if rests is None or np.ptp(rests.angle) < FEWEST_TURNS * 2.0 * np.pi:
         return None
-    rows_per_block = max(1, round(BLOCK_S / rows.period_s))
-    return _Resting(angle[known], error[known], np.sign(place[known]), rows_per_block)
+    columns = np.column_stack([*waves_of(rests.angle), *beside(rests)])
+    whole = regular(columns, rests.error, rests.rows_per_block)
+    return None if whole.scatter > NOISIER * rests.floor_rad else (rests, columns, whole)
 
 
-def _fitted(resting: _Resting) -> tuple[Array, Array, float]:
-    """Sine's and cosine's part of both orders, shape (4,), their covariance, and the scatter."""
-    y, face = resting.angle, resting.face
-    waves = [np.sin(y), np.cos(y), np.sin(2.0 * y), np.cos(2.0 * y)]
-    beside = [np.ones_like(y), face, face * np.sin(y), face * np.cos(y)]
-    columns = np.column_stack([*waves, *beside])
-    weight, found, left = np.ones_like(y), np.zeros(columns.shape[1]), resting.error
-    scatter = 0.0
-    for _ in range(TURNS):
-        root = np.sqrt(weight)
-        found = np.linalg.lstsq(columns * root[:, None], resting.error * root, rcond=None)[0]
-        left = resting.error - columns @ found
-        scatter = max(1.4826 * float(np.median(np.abs(left))), 1e-12)
-        weight = np.maximum(1.0 - (left / (BEYOND * scatter)) ** 2, 0.0) ** 2
-    inverse = np.linalg.pinv(columns.T @ (columns * weight[:, None]))
-    rows = y.size // resting.rows_per_block * resting.rows_per_block
-    pulls = (columns * (weight * left)[:, None])[:rows]
-    blocks = pulls.reshape(-1, resting.rows_per_block, columns.shape[1]).sum(axis=1)
-    spread = inverse @ (blocks.T @ blocks) @ inverse
-    return found[:4], spread[:4, :4], scatter
+def _undoes(left: TurnWave, model: Model) -> bool:
+    params = model.effects[EFFECTS[left.order - 1]]
+    if left.order == 1:
+        amplitude, phase = float(params.amplitude_rad), float(params.phase_rad)
+    else:
+        amplitude, phase = 0.25 * float(params.angle_rad) ** 2, 2.0 * float(params.phase_rad)
+    has = amplitude * np.exp(1j * phase)
+    return bool(abs(has + left.amplitude_rad * np.exp(1j * left.phase_rad)) < OF_IT * abs(has))
+
+
+def waves_of(angle: Array) -> tuple[Array, ...]:
+    """Sine and cosine of orders one and two."""
+    return np.sin(angle), np.cos(angle), np.sin(2.0 * angle), np.cos(2.0 * angle)
+
+
+def beside(rests: Resting) -> tuple[Array, ...]:
+    """The columns of c, b, d_1 and d_2."""
+    face = rests.face
+    sine, cosine = np.sin(rests.angle), np.cos(rests.angle)
+    return np.ones_like(face), face, face * sine, face * cosine
+
+
+def _wave(order: int, whole: Regular, rests: Resting) -> TurnWave | None:
+    """One order's wave, where it is clear and large enough."""
+    own = slice(2 * order - 2, 2 * order)
+    found, spread = whole.found[own], whole.spread[own, own]
+    amplitude = float(np.hypot(*found))
+    clearly = found @ np.linalg.solve(spread, found) > CLEARLY**2
+    if not clearly or amplitude < LEAST * rests.floor_rad:
+        return None
+    error = float(np.sqrt(0.5 * np.trace(spread)))
+    return TurnWave(order, amplitude, float(np.arctan2(found[1], found[0])), error)
+
+
+def _is_alike(wave: TurnWave, halves: Sequence[Regular]) -> bool:
+    own = slice(2 * wave.order - 2, 2 * wave.order)
+    apart = float(np.hypot(*(halves[0].found[own] - halves[1].found[own])))
+    errors = [0.5 * np.trace(half.spread[own, own]) for half in halves]
+    return apart < max(AGREES * float(np.sqrt(sum(errors))), ALIKE * wave.amplitude_rad)

@@ -32,6 +32,7 @@ from servo_bench.diagnosis.comparing.scatter import scatter
 from servo_bench.diagnosis.comparing.thinning import rows_to_a_command, thinned
 from servo_bench.diagnosis.comparing.ticks import ticks
 from servo_bench.diagnosis.comparing.unevenness import unevenness
+from servo_bench.diagnosis.reading.creep import Creep, creep
 from servo_bench.diagnosis.reading.crossing import crossing_s
 from servo_bench.diagnosis.reading.hygiene import Lattice, LostCommands, lattice, wild_samples
 from servo_bench.diagnosis.reading.orders import USUAL, OrderLine, Tone, tone
@@ -123,6 +124,7 @@ class Finding:
     motor_lines: tuple[OrderLine, ...]
     load_lines: tuple[OrderLine, ...]
     tone: Tone | None
+    creep: Creep | None
     wild: int
     turns: float
     rounds: tuple[Round, ...]
@@ -210,7 +212,7 @@ def find_causes(
     grid = None if "quantisation" in without else lattice(whole.fitted[0], final.model)
     final, plain = _coasting_at_last(whole, final, plain, nothing=not (named or absorbed))
     out = {e for e in READ_OFF if e in without or (only and e not in only)}
-    final, named, readings = with_readings(whole, final, named, scales, out)
+    final, named, readings = with_readings(whole, final, named, late, out)
     return Finding(
         recordings=recordings,
         held_out=held_out,
@@ -228,6 +230,7 @@ def find_causes(
         motor_lines=motor.torque,
         load_lines=load,
         tone=tone(whole.fitted[0], final.model) or tone(quick.fitted[0], now.model),
+        creep=creep(whole.fitted[0], final.model),
         wild=_wild(came, whole, final.model, scales),
         turns=turns,
         rounds=tuple(rounds),

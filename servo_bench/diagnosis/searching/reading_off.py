@@ -8,20 +8,22 @@ from collections.abc import Collection, Sequence
 
 from servo_bench.diagnosis.comparing.evidence import Evidence
 from servo_bench.diagnosis.reading.reading import Reading
-from servo_bench.diagnosis.reading.revolution import EFFECTS, turn_waves
+from servo_bench.diagnosis.reading.revolution import EFFECTS, not_at_rest, turn_waves
 from servo_bench.diagnosis.reading.subdivision import EFFECT, subdivision
 from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting
 from servo_bench.diagnosis.searching.gate import material_sizes
-from servo_bench.diagnosis.searching.joint import Named
+from servo_bench.diagnosis.searching.joint import Named, without_effect
+from servo_bench.diagnosis.searching.late import Late
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek
+from servo_bench.diagnosis.searching.unknowns import Unknown
 from sim_rig.effects import find_effect
 
 READ_OFF = (*EFFECTS, EFFECT)
 
 
 def with_readings(
-    whole: Evidence, final: Found, named: Sequence[Named], scales: Scales, out: Collection[str]
+    whole: Evidence, final: Found, named: Sequence[Named], late: Late, out: Collection[str]
 ) -> tuple[Found, list[Named], tuple[Reading, ...]]:
     """The final fit with what the load's encoder says wrong by itself, as it was read off the data,
     none of `out`; the causes that rounds have named, less those; and the readings.
@@ -30,9 +32,10 @@ def with_readings(
     disc's is surer and sharper as it is read.
     """
     readings, seen = list[Reading](), whole.fitted[0]
+    final, named = _without_false_waves(whole, final, named, late.band)
     if not OTHERWISE & final.model.effects.keys() or is_coasting(final.model):
         waves = (wave.reading() for wave in turn_waves(seen, final.model))
-        readings += [r for r in waves if _is_new(r, final, out) and _is_large(r, scales)]
+        readings += [r for r in waves if _is_new(r, final, out) and _is_large(r, late.scales)]
     final = _put(whole, final, readings)
     scale = subdivision(seen, final.model.without(EFFECT)) if EFFECT not in out else None
     if scale is not None:
@@ -40,6 +43,16 @@ def with_readings(
         final = _put(whole, final, readings[-1:])
     read = {one.effect for one in readings}
     return final, [n for n in named if n.effect not in read], tuple(readings)
+
+
+def _without_false_waves(
+    whole: Evidence, final: Found, named: Sequence[Named], band: Sequence[Unknown]
+) -> tuple[Found, list[Named]]:
+    """The final fit and its causes, less the waves that the load has not where it rests."""
+    false = not_at_rest(whole.fitted[0], final.model) & {n.effect for n in named}
+    for effect in sorted(false):
+        final = without_effect(whole, final, effect, band)
+    return final, [n for n in named if n.effect not in false]
 
 
 def _is_new(reading: Reading, final: Found, out: Collection[str]) -> bool:

@@ -15,7 +15,7 @@ from servo_bench.diagnosis.reading.subdivision import load_lines, subdivision
 from servo_bench.diagnosis.searching.coasting import coasting
 from servo_bench.diagnosis.searching.finding import find_causes
 from sim_rig.model import Model
-from tests.fit_recordings import NOMINAL, recorded, with_channels
+from tests.fit_recordings import NOMINAL, STANDSTILL, recorded, with_channels
 
 MODEL = Model(NOMINAL)
 SLOTS, SHORT, PERIOD_S = 2500, 1300, 0.008
@@ -58,6 +58,20 @@ def test_a_wave_of_a_third_of_a_count_has_its_size_and_phase(
     assert 1e-6 < error < 7e-6
     assert found.amplitude_rad == pytest.approx(amplitude_rad, abs=3.0 * error)
     assert found.phase_rad == pytest.approx(0.7, abs=3.0 * error / amplitude_rad)
+
+
+@pytest.mark.parametrize("seed", [38, 39, 40])
+def test_errors_that_hang_together_make_no_line(seed: int) -> None:
+    """A shaft that rests between moves says one wrong thing ten times at one place."""
+    draw, rests = np.random.default_rng(seed), SLOTS // 11 + 1
+    moves = np.repeat(draw.uniform(0.0, 12.0, rests), 11)[:SLOTS]
+    played = np.where(np.arange(SLOTS) % 11 < 1, moves, 0.0)
+    played = np.concatenate((np.zeros(STANDSTILL), played))
+    recording = recorded(MODEL, seed, played=played, noise_counts=0.1)
+    wrong = np.repeat(3e-4 * draw.standard_normal(rests + 6), 11)[: len(recording)]
+    angle = np.asarray(recording["load_angle_rad"]) + wrong
+    stuck = compare(with_channels(recording, load_angle_rad=angle), MODEL, scales=SCALES)
+    assert load_lines(stuck, MODEL) == ()
 
 
 def test_what_is_in_one_half_of_the_recording_is_not_the_discs() -> None:

@@ -31,6 +31,15 @@ def test_it_is_crossed_when_the_delay_is_used_up(after_s: float) -> None:
     assert found == pytest.approx(after_s, abs=4 * PERIOD_S)
 
 
+@pytest.mark.parametrize("after_s", [2.0, 5.0])
+def test_a_drive_that_shows_two_thirds_of_a_jump_at_first_is_crossed_too(after_s: float) -> None:
+    """Its current's first tick comes before the sample, and its next one after it."""
+    walks, stands = skewed(7, -DELAY_S / after_s), skewed(7, 0.0)
+    torque = [np.asarray(r["motor_torque_nm"]) for r in (walks, stands)]
+    between = with_channels(walks, motor_torque_nm=0.65 * torque[0] + 0.35 * torque[1])
+    assert crossed(between) == pytest.approx(after_s, abs=4 * PERIOD_S)
+
+
 @pytest.mark.parametrize("skew_fraction", [2e-5, 0.0, -2e-6])
 def test_a_clock_that_crosses_nothing(skew_fraction: float) -> None:
     assert crossed(skewed(2, skew_fraction)) is None

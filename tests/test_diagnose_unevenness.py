@@ -60,6 +60,22 @@ def test_a_soft_loop_yields_with_its_integrator_too() -> None:
     assert 0.5 < float(share[soft.names.index("motor velocity over 48 ms")]) < MOST
 
 
-def test_cogging_of_its_own_is_known(seen: Evidence) -> None:
-    uneven = HELD.with_effect("cogging", torque_nm=1e-3, order=12.0)
-    np.testing.assert_array_equal(unevenness(seen, uneven, TORQUE_NM), 0.0)
+@pytest.mark.parametrize("order", [1.0, 6.0, 24.0])
+def test_of_a_line_of_its_own_it_may_miss_no_more(seen: Evidence, order: float) -> None:
+    """Each of four torques adds its square; of one that the model has, none is asked."""
+    own = HELD.with_effect("cogging", torque_nm=1e-4, order=order)
+    another = HELD.with_effect("cogging", torque_nm=1e-4, order=13.0)
+    quick = "motor velocity over 48 ms"  # what is slower is at its bound
+    assert 0.0 < moved(seen, own, quick) < moved(seen, another, quick)
+
+
+def test_lines_are_beside_those_that_a_model_has() -> None:
+    own = MODEL.with_effect("cogging", torque_nm=1e-3, order=12.0, second_torque_nm=2e-3)
+    for model in lines(own, 3e-4, 6.0):
+        params = model.effects["cogging"]
+        assert (params.torque_nm, params.second_torque_nm, params.third_torque_nm) == (
+            pytest.approx(1e-3),
+            pytest.approx(2e-3),
+            pytest.approx(3e-4),
+        )
+        assert params.third_order == 6.0

@@ -14,7 +14,7 @@ import numpy as np
 
 from servo_bench.diagnosis.comparing.evidence import Evidence, changed_by
 from servo_bench.diagnosis.comparing.rows import Array
-from sim_rig.effects import coulomb
+from sim_rig.effects import cogging, coulomb
 from sim_rig.model import Model
 
 SHARE = 0.004
@@ -22,6 +22,8 @@ SHARE = 0.004
 ORDERS = (1.0, 6.0, 24.0)
 """Periods a revolution: of a bearing and a shaft, and of magnets that hold to teeth."""
 PHASES_RAD = (0.0, 0.5 * np.pi)
+PLACES = ("", "second_", "third_")
+"""Of the effect's three lines."""
 USUAL, MOST = 0.5, 6.0
 """Of what a right simulation may miss anyway: so much is what stiff loops yield, and in it already;
 and a loop that yields to more tells nothing there."""
@@ -29,24 +31,43 @@ and a loop that yields to more tells nothing there."""
 
 def unevenness(whole: Evidence, model: Model, torque_nm: float) -> Array:
     """Robust change of every signal by torques at `ORDERS` and by a friction that is as much more,
-    each `SHARE` of `torque_nm` (rms), beyond `USUAL` and within `MOST`. Shape (signals,); zeros
-    where the model has cogging of its own, and for a signal without a point.
+    each `SHARE` of `torque_nm` (rms), beyond `USUAL` and within `MOST`. Shape (signals,); zero for
+    a signal without a point. Of the orders that the model's own cogging has, none is asked.
     """
-    if "cogging" in model.effects:
-        return np.zeros(len(whole.names))
     size_nm = SHARE * torque_nm
-    tried = [*(lines(model, size_nm, order) for order in ORDERS), [_rubbing(model, size_nm)]]
+    has = {order for _, order in _own(model)}
+    orders = [order for order in ORDERS if order not in has]
+    tried = [*(lines(model, size_nm, order) for order in orders), [_rubbing(model, size_nm)]]
     changed = np.linalg.norm([changed_by(whole, model, others) for others in tried], axis=0)
     beyond = np.maximum(changed**2 - (USUAL * whole.allowed) ** 2, 0.0)
     return np.asarray(np.minimum(np.sqrt(beyond), MOST * whole.allowed))
 
 
 def lines(model: Model, torque_nm: float, order: float) -> Sequence[Model]:
-    """The model with a torque at that order, in two phases of which one is about the worst."""
+    """The model with a torque at that order too, in two phases of which one is about the worst; it
+    takes the last one's place where it has three already."""
+    params = model.effects.get("cogging", cogging.Params())
+    slot = next((p for p in PLACES if getattr(params, f"{p}torque_nm") == 0.0), PLACES[-1])
+    kept = params._asdict()
     return [
-        model.with_effect("cogging", torque_nm=torque_nm, order=order, phase_rad=phase)
+        model.with_effect(
+            "cogging",
+            **{
+                **kept,
+                f"{slot}torque_nm": torque_nm,
+                f"{slot}order": order,
+                f"{slot}phase_rad": phase,
+            },
+        )
         for phase in PHASES_RAD
     ]
+
+
+def _own(model: Model) -> Sequence[tuple[float, float]]:
+    """Torque and order of the model's own lines."""
+    params = model.effects.get("cogging", cogging.Params())
+    found = [(getattr(params, f"{p}torque_nm"), getattr(params, f"{p}order")) for p in PLACES]
+    return [(float(torque), float(order)) for torque, order in found if torque != 0.0]
 
 
 def _rubbing(model: Model, torque_nm: float) -> Model:

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from servo_bench.diagnosis.judging.judgement import _explained
+from servo_bench.diagnosis.judging.judgement import _explained, _has_a_name
+from servo_bench.diagnosis.judging.verdict import Cause
 from servo_bench.diagnosis.searching.gate import passes
 from servo_bench.diagnosis.searching.joint import is_worth_it
 from servo_bench.diagnosis.searching.late import held_back
@@ -65,13 +66,42 @@ def test_a_ratio_is_held_back_where_both_stand_at_opposite_ends(
         ((18.0, 0.75), (0.9, 0.6), True),
         ((18.0, 0.75), (0.9, 1.04), False),  # right by all, and one signal worse than it was
         ((18.0, 0.30), (0.9, 0.60), True),  # worse, and no more than a right one may be
+        ((18.0, 2.0, 2.0), (1.7, 0.5, 0.5), True),  # a bounce
+        ((18.0, 16.0, 8.0), (0.5, 1.2, 0.5), False),  # what a motor does is known better
+        ((18.0, 16.0, 8.0), (0.5, 0.9, 1.12), False),
+        ((100.0, 90.0, 8.0), (0.5, 2.0, 1.0), True),  # no law is exact
     ],
 )
-def test_what_makes_a_signal_more_wrong_explains_nothing(
+def test_what_explains(
     before: tuple[float, ...], after: tuple[float, ...], explained: bool
 ) -> None:
-    finding: Any = SimpleNamespace(misfit_before=np.array(before), misfit_after=np.array(after))
+    whole = SimpleNamespace(names=("twist", "motor velocity", "torque")[: len(before)])
+    finding: Any = SimpleNamespace(
+        misfit_before=np.array(before), misfit_after=np.array(after), whole=whole
+    )
     assert _explained(finding) is explained
+
+
+@pytest.mark.parametrize(
+    ("confidence", "ambiguous_with", "named"),
+    [
+        (0.85, (), True),
+        (0.70, (), False),
+        (0.70, ("misalignment",), True),  # one of two, and both are told
+        (0.70, ("load_torque",), False),
+    ],
+)
+def test_a_doubt_is_told_with_who_makes_it(
+    confidence: float, ambiguous_with: tuple[str, ...], named: bool
+) -> None:
+    cause = Cause(
+        effect="encoder_eccentricity",
+        parameters={},
+        confidence=confidence,
+        ambiguous_with=ambiguous_with,
+        rival="misalignment",
+    )
+    assert _has_a_name(cause) is named
 
 
 @pytest.mark.parametrize(("seen", "held", "worth"), [(0.02, 0.12, False), (0.06, 0.12, True)])

@@ -187,6 +187,9 @@ def test_numbers_that_change_nearly_the_same_are_sought_apart() -> None:
     found = seek(seen, start, free, seen.floors, iterations=6, coarse=False)
     assert found.value("thermal_friction.cold_torque_nm") == pytest.approx(cold_nm, rel=0.1)
     assert found.value("coulomb.torque_nm") == found.model.effects["coulomb"].torque_nm
+    # what warms in half or in 1.6 times the assumed 600 s has so much in proportion
+    low, high = quantities(found, SCALES)["thermal_friction.cold_torque_nm"].ci95
+    assert low < 0.5 * cold_nm < 1.6 * cold_nm < high
     moved = roam(seen, found, {"thermal_friction"}, coarse=False, batches=1)
     assert moved.value("coulomb.torque_nm") == moved.model.effects["coulomb"].torque_nm
     assert seen.seen([moved.model], coarse=False)[0].cost(seen.floors) == pytest.approx(moved.cost)

@@ -11,6 +11,7 @@ from servo_bench.diagnosis.judging.verdict import Cause
 from servo_bench.diagnosis.searching.gate import passes
 from servo_bench.diagnosis.searching.joint import is_worth_it
 from servo_bench.diagnosis.searching.late import held_back
+from servo_bench.diagnosis.searching.reading_off import is_windup
 from servo_bench.diagnosis.searching.scales import scales_of
 from servo_bench.diagnosis.searching.unknowns import nuisances
 from sim_rig.model import Model
@@ -114,3 +115,22 @@ def test_a_coupling_takes_some_of_what_was_seen(seen: float, held: float, worth:
     )
     found: Any = SimpleNamespace(model=soft)
     assert is_worth_it(one, found, scales_of(MODEL, commands(1, 400), 0.008)) is worth
+
+
+@pytest.mark.parametrize(
+    ("phase_rad", "amplitude_rad", "windup"),
+    [
+        (0.7 + np.pi, 3e-4, True),
+        (0.9 - np.pi, 3e-4, True),
+        (0.7, 3e-4, False),  # against the weight
+        (0.7 + np.pi, 2e-3, False),  # no face gives so much
+    ],
+)
+def test_what_a_face_gives_to_a_weight_is_not_the_encoders(
+    phase_rad: float, amplitude_rad: float, windup: bool
+) -> None:
+    """-T sin(y + phi) presses the load on, so that it reads less than it would, in proportion."""
+    heavy = MODEL.with_effect("gravity_imbalance", torque_nm=0.027, phase_rad=0.7)
+    wave = {"amplitude_rad": amplitude_rad, "phase_rad": phase_rad}
+    assert is_windup(heavy.with_effect("encoder_eccentricity", **wave)) is windup
+    assert not is_windup(MODEL.with_effect("encoder_eccentricity", **wave))

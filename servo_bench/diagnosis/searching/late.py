@@ -21,7 +21,6 @@ from servo_bench.diagnosis.searching.gate import (
     FURTHER_GAIN,
     HELD_Z,
     LINES,
-    MOST_CAUSES,
     RIGHT_ALREADY,
     material_sizes,
     misfit,
@@ -107,9 +106,7 @@ def asked_late(
 ) -> Named | None:
     """A cause that only all of the recording shows: a slow one, one that the beginning could not be
     sure of, a ratio that its bands hold back, or where nothing else is wrong a gap that is so by a
-    little."""
-    if len(named) == MOST_CAUSES:
-        return None
+    little. It comes beside as many as there are: one that stood in for it is not needed then."""
     slow = SLOW | BEHIND if is_coasting(final.model) else SLOW
     unsure_of = open_ - slow - (OTHERWISE if is_coasting(final.model) else frozenset())
     out = frozenset().union(*(class_of(n.effect) for n in named))

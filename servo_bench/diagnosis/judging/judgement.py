@@ -108,7 +108,7 @@ def _strange(finding: Finding) -> Iterator[str]:
     if finding.creep is not None:
         yield (
             "The load's angle gives way to the motor's torque slowly: "
-            f"{abs(finding.creep.compliance_rad_per_nm):.2g} rad/N m after some "
+            f"{finding.creep.rate_rad_s_per_nm:.2g} rad/s for each N m, for some "
             f"{finding.creep.time_s:.1g} s, {finding.creep.rms_rad:.2g} rad rms. An encoder's "
             "bracket, glue, or rubber creeps so; look at what holds it."
         )

@@ -41,12 +41,20 @@ LEAST = 0.3
 
 
 class Creep(NamedTuple):
-    """What the load's angle gives, how slowly, its rms in the angle, and how clearly."""
+    """What the load's angle gives, how slowly, its rms in the angle, and how clearly.
+
+    Under torques that are short beside `time_s` only the rate is known, k / tau.
+    """
 
     compliance_rad_per_nm: float
     time_s: float
     rms_rad: float
     deviations: float
+
+    @property
+    def rate_rad_s_per_nm(self) -> float:
+        """How fast it gives way at first."""
+        return abs(self.compliance_rad_per_nm) / self.time_s
 
 
 def creep(comparison: Comparison, model: Model) -> Creep | None:

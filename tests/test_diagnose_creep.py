@@ -8,8 +8,10 @@ import pytest
 
 from servo_bench.diagnosis.comparing.comparison import Comparison, compare
 from servo_bench.diagnosis.comparing.evidence import SCALES
+from servo_bench.diagnosis.judging.judgement import verdict_of
 from servo_bench.diagnosis.reading.creep import creep
 from servo_bench.diagnosis.searching.coasting import coasting
+from servo_bench.diagnosis.searching.finding import find_causes
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, STANDSTILL, recorded, with_channels
@@ -82,6 +84,15 @@ def test_creep_of_half_a_recording_is_none() -> None:
     half = angle.size // 2
     angle[half:] = crept[half:]
     assert creep(against(with_channels(recording, load_angle_rad=angle)), RUBBING) is None
+
+
+def test_its_verdict_is_unknown_and_says_what_it_is() -> None:
+    recording = gives_way(run(77, MODEL), 0.15, 0.4)
+    verdict = verdict_of(find_causes([recording], MODEL, only=("misalignment",)))
+    assert verdict.verdict == "unknown"
+    assert "gives way to the motor's torque slowly" in verdict.sentence
+    right = verdict_of(find_causes([run(77, MODEL)], MODEL, only=("misalignment",)))
+    assert right.verdict == "none"
 
 
 def test_of_a_load_encoder_alone_it_is_not_asked() -> None:

@@ -36,6 +36,15 @@ def moved(seen: Evidence, model: Model, name: str = SLOW) -> float:
     return float(unevenness(seen, model, TORQUE_NM)[seen.names.index(name)])
 
 
+def test_a_model_that_runs_away_tells_nothing(seen: Evidence) -> None:
+    """Its errors are infinite, and what another changes in them is no number."""
+    stiff = replace(NOMINAL, proportional_gain_a_s_per_rad=1e3)
+    away = Model(stiff).with_effect("velocity_filter_lag", lag_s=5e-3)
+    away = away.with_effect("current_loop_lag", lag_s=2e-3)
+    assert seen.seen([away])[0].ran_away
+    np.testing.assert_array_equal(changed_by(seen, away, [MODEL]), 0.0)
+
+
 def test_without_its_integrator_a_loop_yields_by_torque_over_its_gains(seen: Evidence) -> None:
     """A slow torque T shifts the speed by T/(K_T K_P). Over whole turns a sine's |sin| has the
     median 1/sqrt(2), on a part of one at its worst phase up to 1; a robust deviation is 1.4826

@@ -169,9 +169,11 @@ def median_of(values: Array) -> float:
 
 def changed_by(evidence: Evidence, model: Model, others: Sequence[Model]) -> Array:
     """Largest robust change of every signal that one of `others` makes, shape (signals,); none of a
-    signal without a point, nor by a model that ran away."""
+    signal without a point, nor by a model that ran away, nor of one."""
     here, *there = evidence.seen([model, *others])
     largest = np.zeros(len(evidence.names))
+    if here.ran_away:
+        return largest
     for errors in there:
         changed = np.abs(errors.rows - here.rows)
         known = np.isfinite(changed).any(axis=1)

@@ -104,7 +104,7 @@ def _as_read(comparison: Comparison, models: Sequence[Model]) -> Iterator[str]:
     if CURRENT in named and not comparison.source.rows.filtered_s:
         readings += [_filtered(comparison, model) for model in models]
     best = min(readings)
-    if best.left < FAR_NEARER * best.now and best.words:
+    if best.left < FAR_NEARER * best.now < np.inf and best.words:
         nearer = best.now / max(best.left, 1e-3)
         yield f"It is {nearer:.2g} times nearer to the simulation if {best.words} says so."
 

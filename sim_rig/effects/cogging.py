@@ -16,6 +16,9 @@ import numpy as np
 
 from sim_rig.effects.effect import Effect, Known, LogUniform, Port, Uniform
 
+PLACES = ("", "second_", "third_")
+"""What the names of each line's parameters begin with."""
+
 
 class Params(NamedTuple):
     """Three zero amplitudes switch it off."""

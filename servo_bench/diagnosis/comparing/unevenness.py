@@ -15,6 +15,7 @@ import numpy as np
 from servo_bench.diagnosis.comparing.evidence import Evidence, changed_by
 from servo_bench.diagnosis.comparing.rows import Array
 from sim_rig.effects import cogging, coulomb
+from sim_rig.effects.cogging import PLACES
 from sim_rig.model import Model
 
 SHARE = 0.004
@@ -22,8 +23,6 @@ SHARE = 0.004
 ORDERS = (1.0, 6.0, 24.0)
 """Periods a revolution: of a bearing and a shaft, and of magnets that hold to teeth."""
 PHASES_RAD = (0.0, 0.5 * np.pi)
-PLACES = ("", "second_", "third_")
-"""Of the effect's three lines."""
 USUAL, MOST = 0.5, 6.0
 """Of what a right simulation may miss anyway: so much is what stiff loops yield, and in it already;
 and a loop that yields to more tells nothing there."""

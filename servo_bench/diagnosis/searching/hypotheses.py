@@ -25,6 +25,7 @@ from servo_bench.diagnosis.searching.unknowns import (
     widened,
 )
 from sim_rig.effects import catalogue, find_effect, inverter_dead_time, thermal_friction
+from sim_rig.effects.cogging import PLACES
 from sim_rig.effects.effect import Effect
 from sim_rig.errors import EffectError
 from sim_rig.model import Model
@@ -224,7 +225,7 @@ def _as_measured(waves: Sequence[Wave]) -> Hypothesis:
 def cogging_of(waves: Sequence[Wave]) -> dict[str, float]:
     """The effect's parameters for as many waves as it has places."""
     settings: dict[str, float] = {}
-    for which, wave in zip(("", "second_", "third_"), waves, strict=False):
+    for which, wave in zip(PLACES, waves, strict=False):
         settings |= {
             f"{which}torque_nm": wave.torque_nm,
             f"{which}order": wave.order,

@@ -10,6 +10,8 @@ from servo_bench.diagnosis.judging.verdict import Cause, ErrorFigures, Quantity,
 from servo_bench.recording.recording import Recording
 
 PLAY = "backlash_width"
+MUCH = 0.3
+"""Share of what was seen that play explains, where runs that it does not foretell are unlike."""
 NEXT = (
     "Ramp the torque slowly to either side at two amplitudes, output locked: friction alone opens "
     "a loop that grows with the amplitude, play one of a fixed width."
@@ -37,13 +39,7 @@ def locked_verdict(
         unit="rad",
     )
     if not named:
-        return Verdict(
-            verdict="none",
-            sentence="A linear spring is all that these runs need: play does not pay on runs that "
-            f"no fit saw ({before:.3g} rad with a spring, {after:.3g} with play).",
-            error=error,
-            next_run=NEXT,
-        )
+        return _unnamed(found, error, unlike=tried and found.seen_share > MUCH)
     nominal = recording.plant.backlash_gap_rad if recording.plant is not None else None
     change = play - (nominal or 0.0)
     deviation = float(np.sqrt(found.play.covariance[1, 1]))
@@ -82,4 +78,26 @@ def locked_verdict(
             "friction_middle_nm": found.play.middle_nm,
             "crossing_nm": found.play.crossing_nm,
         },
+    )
+
+
+def _unnamed(found: LockedFinding, error: ErrorFigures, *, unlike: bool) -> Verdict:
+    """Neither play: a spring is enough, or the runs are not alike."""
+    spring, play = (np.rad2deg(found.held[name]) for name in ("spring", "play"))
+    judged = f"({spring:.3g} deg with a spring, {play:.3g} deg with play)"
+    if not unlike:
+        return Verdict(
+            verdict="none",
+            sentence="A linear spring is all that these runs need: play does not pay on runs that "
+            f"no fit saw {judged}.",
+            error=error,
+            next_run=NEXT,
+        )
+    return Verdict(
+        verdict="unknown",
+        sentence=f"Something gives way, and not alike in every run: play takes "
+        f"{100.0 * found.seen_share:.0f} % of the error of a linear spring where it was fitted, "
+        f"and does not foretell the runs that no fit saw {judged}.",
+        error=error,
+        next_run="Repeat the ramps until they are alike; look for what shifts, slips, or settles.",
     )

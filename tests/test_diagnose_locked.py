@@ -1,0 +1,80 @@
+"""A locked output whose play is known: not by the diagnosis' law, but by a gear of many flanks.
+
+Each of them is held by its own friction and gives its own part of the play once the torque beats
+it, so that the play is crossed over a range of torques, as in a gear of printed parts. What is
+there to find is how far the twist stays apart where the torque is zero, from either side.
+"""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from servo_bench.diagnosis.concluding import conclude
+from servo_bench.recording.plant import ForeignPlant
+from servo_bench.recording.recording import Recording
+
+Array = NDArray[np.float64]
+PEAK_NM, RAMP_ROWS = 4.0, 400
+
+
+def ramps(runs: int) -> tuple[Array, Array]:
+    """Torque to one side, the other and back, and the number of its run."""
+    one = PEAK_NM * np.interp(
+        np.arange(4 * RAMP_ROWS), RAMP_ROWS * np.array([0, 1, 3, 4]), [0.0, 1.0, -1.0, 0.0]
+    )
+    return np.tile(one, runs), np.repeat(np.arange(float(runs)), one.size)
+
+
+def flanks(torque: Array, held_nm: Array, parts_rad: Array, compliance: float) -> Array:
+    """Twist of a spring and of flanks that go over, each where the torque beats its friction."""
+    side = -np.ones(held_nm.size)
+    found = np.empty(torque.size)
+    for k, value in enumerate(torque):
+        side = np.where(value > held_nm, 1.0, np.where(value < -held_nm, -1.0, side))
+        found[k] = compliance * value + 0.5 * parts_rad @ side
+    return found
+
+
+def locked(torque: Array, twist: Array, run: Array) -> Recording:
+    channels = {
+        "t_s": 1e-3 * np.arange(torque.size),
+        "motor_torque_nm": torque,
+        "motor_position_rad": twist,
+        "run": run,
+    }
+    plant = ForeignPlant(name="gear", output_locked=True)
+    return Recording(channels, 1e-3, None, None, {}, plant=plant)
+
+
+@pytest.mark.parametrize("held", [(0.5, 1.0), (0.5, 2.5), (2.0, 3.4), (1.0, 3.4)])
+@pytest.mark.parametrize("compliance", [0.0, 1e-3])
+def test_play_is_how_far_a_gear_stays_apart_without_torque(
+    held: tuple[float, float], compliance: float
+) -> None:
+    rng = np.random.default_rng(5)
+    torque, run = ramps(5)
+    parts = rng.dirichlet(np.full(60, 3.0)) * 0.03
+    twist = flanks(torque, np.linspace(*held, 60), parts, compliance)
+    verdict = conclude([locked(torque, twist + 1e-5 * rng.normal(size=run.size), run)]).verdict
+    (cause,) = verdict.causes
+    assert cause.effect == "backlash_width"
+    assert cause.parameters["change_rad"].value == pytest.approx(0.03, rel=0.15)
+
+
+def test_a_spring_has_no_play() -> None:
+    torque, run = ramps(5)
+    noise = np.random.default_rng(6).normal(size=run.size)
+    verdict = conclude([locked(torque, 2e-3 * torque + 1e-4 * noise, run)]).verdict
+    assert (verdict.verdict, verdict.causes) == ("none", ())
+
+
+def test_runs_that_are_not_alike_are_not_called_a_spring() -> None:
+    """A gear that goes over in some runs only: play explains those, and not the others."""
+    torque, run = ramps(6)
+    rng = np.random.default_rng(7)
+    goes = flanks(torque, np.linspace(0.5, 1.5, 30), np.full(30, 1e-3), 1e-3)
+    twist = np.where(run < 4, goes, 1e-3 * torque) + 1e-5 * rng.normal(size=run.size)
+    verdict = conclude([locked(torque, twist, run)]).verdict
+    assert (verdict.verdict, verdict.causes) == ("unknown", ())
+    assert "not alike" in verdict.sentence
+    assert verdict.next_run

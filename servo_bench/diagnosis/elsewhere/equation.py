@@ -21,9 +21,9 @@ from servo_bench.diagnosis.fitting.foreign_channels import Array, Stretch
 Mask = np.ndarray[tuple[int], np.dtype[np.bool_]]
 BINS = 24
 LEAST_SCATTER = 0.3
+"""Least scatter of a velocity's rows over that of all."""
 STICKS = 0.01
 """A motor slower than this share of its rms velocity may stick."""
-"""Least scatter of a velocity's rows over that of all."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +95,23 @@ def solve(matrix: Array, left: Array, weight: Array) -> Array:
     gram = heavy.T @ heavy / np.outer(scale, scale)
     found = np.linalg.lstsq(gram, heavy.T @ (left * weight) / scale, rcond=1e-10)[0]
     return np.asarray(found / scale)
+
+
+def covariance(found: Design, coefficients: Array, weight: Array) -> Array:
+    """Block sandwich of the coefficients, shape (columns, columns)."""
+    heavy = found.matrix * weight[:, None]
+    errors = (found.rows.left - found.matrix @ coefficients) * weight
+    sums = np.stack([np.bincount(found.rows.block, c * errors) for c in heavy.T], axis=1)
+    inverse = np.linalg.pinv(heavy.T @ heavy, hermitian=True)
+    return np.asarray(inverse @ (sums.T @ sums) @ inverse)
+
+
+def deviations(found: Design, number: int, coefficients: Array, spread: Array) -> float:
+    """Standard errors by which a term's coefficients stand beyond zero."""
+    own = found.owned(number)
+    values = coefficients[own]
+    squared = float(values @ np.linalg.pinv(spread[own, own], hermitian=True) @ values)
+    return float(np.sqrt(max(squared, 0.0)))
 
 
 def usual_torques(rows: WeakRows) -> Array:

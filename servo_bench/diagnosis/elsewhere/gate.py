@@ -13,11 +13,14 @@ Set on the four data sets of tests/test_diagnose_realdata.py, so these do not pr
 """
 HELD_SHARE = 0.01
 """Least share of the held-out error's square that the effect takes away."""
+SURE = 4.0
+"""Standard errors of an effect's size beyond zero; a sandwich of few blocks is too sure."""
 MATERIAL = 0.015
 """Least rms of the effect's torque over that of the effort."""
 ALIKE = 0.002
 """A column of which the others leave a smaller share of its norm cannot be told from them."""
-MOST_CAUSES = 8
+MOST_TERMS = 16
+"""Of the equation; every line is one."""
 FEWEST_BLOCKS = 10
 SECURE_Z = 6.0
 """An advantage over a rival at which the rival is out."""

@@ -7,8 +7,8 @@ import numpy as np
 
 from servo_bench.diagnosis.elsewhere import gate
 from servo_bench.diagnosis.elsewhere.equation import (
-    Design,
     base_design,
+    covariance,
     design,
     electric_of,
     solve,
@@ -110,7 +110,7 @@ def judge_mechanics(
         motion=motion,
         lag_s=velocity_lag_s(recordings[0]),
         selected=selected,
-        covariance=_covariance(selected),
+        covariance=covariance(now, selected.coefficients, selected.weight),
         before=before,
         after=after,
         floor=noise_share(judged.rows) * float(judged.rows.left.std()),
@@ -150,13 +150,3 @@ def _plainly_left(rows: WeakRows) -> float:
     matrix = usual_torques(rows)
     errors = rows.left - matrix @ solve(matrix, rows.left, np.ones(rows.left.size))
     return float(errors @ errors) / max(float(rows.left @ rows.left), 1e-300)
-
-
-def _covariance(selected: Selected) -> Array:
-    """Block sandwich of the coefficients."""
-    now: Design = selected.design
-    heavy = now.matrix * selected.weight[:, None]
-    errors = (now.rows.left - now.matrix @ selected.coefficients) * selected.weight
-    sums = np.stack([np.bincount(now.rows.block, c * errors) for c in heavy.T], axis=1)
-    inverse = np.linalg.pinv(heavy.T @ heavy, hermitian=True)
-    return np.asarray(inverse @ (sums.T @ sums) @ inverse)

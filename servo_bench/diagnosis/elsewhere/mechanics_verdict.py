@@ -1,6 +1,6 @@
 """The verdict on effort and motion, in words and in the public schema."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -46,13 +46,11 @@ def mechanics_verdict(found: MechanicsFinding) -> Verdict:
 
 
 def _causes(found: MechanicsFinding) -> Iterator[Cause]:
-    """One a name; the lines of one effect are its first, second and third strength."""
+    """One a name; the lines of one effect are its first, second and third strength, by size."""
     steps = found.selected.steps
     for name in dict.fromkeys(step.term.name for step in steps):
         own = [(k, s) for k, s in enumerate(steps) if s.term.name == name]
-        parameters: dict[str, Quantity] = {}
-        for number, step in own:
-            parameters |= _sizes(found, number, step)
+        parameters, _ = _by_size(found, own)
         best = max((s for _, s in own), key=lambda s: s.z)
         there = {s.term.name for s in steps}
         rivals = [(n, z) for n, z in best.rivals if n not in there]
@@ -69,6 +67,27 @@ def _causes(found: MechanicsFinding) -> Iterator[Cause]:
             rival=rival[0] if rival else None,
             over_rival=rival[1] if rival else None,
         )
+
+
+def _by_size(
+    found: MechanicsFinding, own: Sequence[tuple[int, Step]]
+) -> tuple[dict[str, Quantity], list[dict[str, Quantity]]]:
+    """Parameters of one effect, its lines the strongest first, and the lines that it has no names
+    for, each under the names of a first one."""
+    strengths = own[0][1].term.effect.strengths
+    first = strengths[0]
+    lines = []
+    for number, step in own:
+        place = step.term.strength.removesuffix(first)
+        sizes = _sizes(found, number, step)
+        lines.append({name.removeprefix(place): size for name, size in sizes.items()})
+    lines.sort(key=lambda line: abs(line[first].value), reverse=True)
+    named = {
+        strength.removesuffix(first) + name: size
+        for strength, line in zip(strengths, lines, strict=False)
+        for name, size in line.items()
+    }
+    return named, lines[len(strengths) :]
 
 
 def _sizes(found: MechanicsFinding, number: int, step: Step) -> dict[str, Quantity]:
@@ -135,12 +154,31 @@ def _notes(found: MechanicsFinding) -> Iterator[str]:
         )
     if found.lag_s:
         yield f"The velocity channel comes {found.lag_s * 1e3:.2g} ms after the position's slope."
+    yield from _further_lines(found)
     refused = found.selected.refused
     if refused is not None:
         yield (
             f"The best of what was refused is {refused.term.name}: {100.0 * refused.share:.1f} % "
             f"of the held-out error, z = {refused.z:.1f}."
         )
+
+
+def _further_lines(found: MechanicsFinding) -> Iterator[str]:
+    """Lines beyond those that an effect's parameters have names for."""
+    steps = found.selected.steps
+    for name in dict.fromkeys(step.term.name for step in steps):
+        own = [(k, s) for k, s in enumerate(steps) if s.term.name == name]
+        first = own[0][1].term.effect.strengths[0]
+        _, more = _by_size(found, own)
+        if more:
+            told = ", ".join(
+                f"{line['order'].value:g} ({line[first].value:.2g} {line[first].unit})"
+                for line in more
+            )
+            yield (
+                f"{name.replace('_', ' ').capitalize()} has further lines, weaker than those "
+                f"named, at orders {told}."
+            )
 
 
 def _is_quiet(found: MechanicsFinding) -> bool:

@@ -1,4 +1,7 @@
-"""Which effects pay: forward by the gain on blocks that did not choose them, then backward.
+"""Which effects pay: forward by the gain on blocks that did not choose them, backward, exchanged.
+
+The first effect that is taken stands in for all that come after it: in the end each may give way to
+another that does better beside the rest.
 
 Blocks are in FOLDS parts: whole records where there are enough, else stretches of time. A part's
 errors come from coefficients of the others. Costs are pseudo-Huber sums of errors over their
@@ -9,6 +12,7 @@ the standard error of that mean.
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,18 +21,23 @@ from servo_bench.diagnosis.elsewhere import gate
 from servo_bench.diagnosis.elsewhere.equation import (
     Design,
     base_design,
+    covariance,
     design,
+    deviations,
     electric_of,
     solve,
     usual_torques,
     weights,
 )
-from servo_bench.diagnosis.elsewhere.spectrum import lines
+from servo_bench.diagnosis.elsewhere.spectrum import lines, mixed_orders, twins
 from servo_bench.diagnosis.elsewhere.terms import Electric, Term, candidates, columns
 from servo_bench.diagnosis.elsewhere.weak import WeakRows
 from servo_bench.diagnosis.fitting.foreign_channels import Array
+from sim_rig.effects.effect import Port
 
 HUBER = 3.0
+EXCHANGES = 3
+"""Rounds in which one effect may give way to another."""
 LARGEST_OFF = 2.0
 """How far from one the coefficient of an effect of fixed size may be, either way."""
 
@@ -67,7 +76,7 @@ def select(
     while True:
         coefficients, weight, electric = fitted(now)
         now = design(rows, now.terms, electric, voltage=voltage)
-        if len(now.terms) == gate.MOST_CAUSES:
+        if len(now.terms) == gate.MOST_TERMS:
             break
         errors = (rows.left - now.matrix @ coefficients) * weight**2
         tried = [*plain, *lines(rows, errors, electric, now.terms, without=without, only=only)]
@@ -80,6 +89,12 @@ def select(
         steps.append(best[0])
         now = best[1]
     now, steps = _backward(now, steps, folds)
+    for _ in range(EXCHANGES):
+        lined = partial(twins, without=without, only=only)
+        exchanged = _exchanged(now, steps, (plain, lined), folds, partial(_made, made, rows))
+        if exchanged is None:
+            break
+        now, steps = _backward(*exchanged, folds)
     coefficients, weight, _ = fitted(now)
     return Selected(now, coefficients, weight, tuple(steps), refused)
 
@@ -166,7 +181,8 @@ def _best(
         if not added.size or _is_small(now, added, weight):
             continue
         more = now.plus(term, added)
-        if not _has_meaning(more, weight):
+        coefficients = solve(more.matrix, more.rows.left, weight)
+        if not _has_meaning(more, len(more.terms) - 1, coefficients):
             continue
         found.append((block_costs(held_errors(more, weight, folds), now.rows), more))
     if not found:
@@ -179,13 +195,19 @@ def _best(
         if float((before - one[0]).sum()) >= gate.EQUAL_GAIN * gain
         and compared(found[0][0], one[0])[0] < gate.SECURE_Z
     ]
-    costs, best = min(equals or found[:1], key=lambda one: one[1].terms[-1].complexity)
+    costs, best = min(equals or found[:1], key=lambda one: _assumed(one[1]))
     rivals: dict[str, float] = {}
     for other, rival in found:
         name = rival.terms[-1].name
         if name != best.terms[-1].name and name not in rivals:
             rivals[name] = compared(costs, other)[0]
     return Step(best.terms[-1], *compared(costs, before), tuple(rivals.items())), best
+
+
+def _assumed(more: Design) -> tuple[bool, tuple[int, int, int]]:
+    """What tells the simpler of two equals: a further line of what is there is no new effect."""
+    last, there = more.terms[-1], more.terms[:-1]
+    return all(t.name != last.name for t in there), last.complexity
 
 
 def _made(there: dict[str, Array], rows: WeakRows, electric: Electric, term: Term) -> Array:
@@ -221,35 +243,82 @@ def _is_small(now: Design, added: Array, weight: Array) -> bool:
     return float(np.std(made)) < gate.MATERIAL * float(np.std(effort))
 
 
-def _has_meaning(more: Design, weight: Array) -> bool:
-    """Whether the last term's size has the sign that it must have, and the one that was assumed."""
-    coefficients = solve(more.matrix, more.rows.left, weight)
-    term = more.terms[-1]
+def _has_meaning(now: Design, number: int, coefficients: Array) -> bool:
+    """Whether a term's size has the sign that it must have, and the one that was assumed; and
+    whether a line is more than what others make of the current."""
+    term = now.terms[number]
     if term.phase is not None:
-        return True
-    size = float(coefficients[-1] / coefficients[0])
+        ripples = term.effect.port is Port.ELECTRIC_TORQUE
+        return not (ripples and term.order in mixed_orders(now.terms))
+    size = float(coefficients[now.owned(number)][0] / coefficients[0])
     if term.size is not None:
         return 1.0 / LARGEST_OFF < size < LARGEST_OFF
-    return size > 0.0 or term.signed
+    return (size > 0.0 or term.signed) and abs(size) <= term.most
 
 
 def _backward(
     now: Design, steps: Sequence[Step], folds: NDArray[np.int64]
 ) -> tuple[Design, list[Step]]:
-    """Take out what does not pay beside all others; every step's figures are as of the end."""
+    """Take out what does not pay beside all others, whose size may as well be zero, or has no
+    meaning; every step's figures are as of the end."""
     while now.terms:
-        _, weight, _ = fitted(now)
+        coefficients, weight, _ = fitted(now)
+        spread = covariance(now, coefficients, weight)
         whole = block_costs(held_errors(now, weight, folds), now.rows)
         figures = [
             compared(whole, block_costs(held_errors(now.without(k), weight, folds), now.rows))
             for k in range(len(now.terms))
         ]
         finals = list(_finals(now, steps, figures))
-        failed = [k for k, step in enumerate(finals) if not passes(step)]
+        failed = [
+            k
+            for k, step in enumerate(finals)
+            if not passes(step)
+            or deviations(now, k, coefficients, spread) < gate.SURE
+            or not _has_meaning(now, k, coefficients)
+        ]
         if not failed:
             return now, finals
         now = now.without(min(failed, key=lambda k: finals[k].share))
     return now, []
+
+
+def _exchanged(
+    now: Design,
+    steps: Sequence[Step],
+    asked: tuple[Sequence[Term], Callable[[Term], Sequence[Term]]],
+    folds: NDArray[np.int64],
+    made: Callable[[Electric, Term], Array],
+) -> tuple[Design, list[Step]] | None:
+    """The equation with another effect in place of one or two, where that pays; else None.
+
+    `asked` are the effects without a line, and what tells a line's rivals at its order.
+    """
+    _, weight, electric = fitted(now)
+    cost = float(block_costs(held_errors(now, weight, folds), now.rows).sum())
+    best: tuple[Design, list[Step]] | None = None
+    least = (1.0 - gate.HELD_SHARE) * cost
+    for out in _sets(now):
+        less, gone = now, [now.terms[k] for k in out]
+        for k in sorted(out, reverse=True):
+            less = less.without(k)
+        plain, lined = asked
+        others = [*lined(gone[0]), *(t for t in plain if t.name not in {g.name for g in gone})]
+        found = _best(less, others, weight, folds, partial(made, electric))
+        if found is None:
+            continue
+        step, more = found
+        cost = float(block_costs(held_errors(more, weight, folds), now.rows).sum())
+        if cost < least:
+            kept = [s for s in steps if all(s.term is not g for g in gone)]
+            least, best = cost, (more, [*kept, step])
+    return best
+
+
+def _sets(now: Design) -> Iterator[tuple[int, ...]]:
+    """What may give way together, by number: one effect, or two that are no lines."""
+    yield from combinations(range(len(now.terms)), 1)
+    yield from combinations([k for k, term in enumerate(now.terms) if term.order is None], 2)
 
 
 def _finals(

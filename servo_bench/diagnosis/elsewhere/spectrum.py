@@ -20,7 +20,7 @@ from servo_bench.diagnosis.elsewhere.terms import (
 from servo_bench.diagnosis.elsewhere.weak import WeakRows, adjoint
 from servo_bench.diagnosis.fitting.foreign_channels import FINE, Array, Stretch
 from sim_rig.effects import catalogue
-from sim_rig.effects.effect import Effect
+from sim_rig.effects.effect import Effect, Port
 
 HIGHEST = 160
 MIDDLING = 24
@@ -28,6 +28,9 @@ MOST_POINTS = 6000
 FEWEST_TURNS = 1.0
 STRONGEST = 10
 """Lines of each effect that are tried by held-out gain."""
+MOST_LINES = 10
+"""Of an effect that has several, though its parameters name three: else a fourth line of cogging
+would be called another effect."""
 
 
 def lines(
@@ -60,20 +63,47 @@ def _of_effect(
 ) -> Iterator[Term]:
     taken = [t for t in there if t.name == effect.name]
     strengths = [s for s in effect.strengths if order_of(effect, s) is not None]
-    if len(taken) >= len(strengths):
+    if not strengths or len(taken) >= (MOST_LINES if len(strengths) > 1 else 1):
         return
-    strength = strengths[len(taken)]
-    order = order_of(effect, strength)
-    phase = strength.removesuffix("torque_nm").removesuffix("ripple_fraction") + "phase_rad"
-    if order is None or phase not in effect.params._fields:
+    strength = strengths[min(len(taken), len(strengths) - 1)]
+    terms = [t for n in range(2, HIGHEST + 1) if (t := _line(effect, strength, float(n)))]
+    if not terms:
         return
-    counts = {p.name: 1.0 for p in effect.parameters if p.name.endswith("count")}
-    terms = [
-        Term(effect, strength, phase, {**counts, order: float(n)}) for n in range(2, HIGHEST + 1)
-    ]
+    mixed = mixed_orders(there) if effect.port is Port.ELECTRIC_TORQUE else frozenset[float]()
+    terms = [term for term in terms if term.order not in mixed]
     heights = [_height(term, slow, electric) for term in terms]
     for k in np.argsort(heights)[::-1][:STRONGEST]:
         yield terms[k]
+
+
+def _line(effect: Effect, strength: str, at: float) -> Term | None:
+    """An effect's line at an order; None of one that has none, or no phase."""
+    order = order_of(effect, strength)
+    phase = strength.removesuffix("torque_nm").removesuffix("ripple_fraction") + "phase_rad"
+    if order is None or phase not in effect.params._fields:
+        return None
+    counts = {p.name: 1.0 for p in effect.parameters if p.name.endswith("count")}
+    return Term(effect, strength, phase, {**counts, order: at})
+
+
+def twins(term: Term, without: Collection[str], only: Collection[str]) -> list[Term]:
+    """Lines of other effects at a line's order."""
+    if term.order is None:
+        return []
+    others = [e for e in catalogue().values() if e.port in PORTS and e.name != term.name]
+    asked = [e for e in others if e.name not in without and (not only or e.name in only)]
+    return [t for e in asked if (t := _line(e, e.strengths[0], term.order))]
+
+
+def mixed_orders(there: Sequence[Term]) -> frozenset[float]:
+    """Orders at which a ripple of the torque stands in for lines that need no current.
+
+    A current that fights lines of orders n and m has them itself; times one of n - m, n + m, or n
+    it makes those lines again, a little larger or later.
+    """
+    orders = [t.order for t in there if t.order is not None and t.effect.port is Port.MOTOR_TORQUE]
+    pairs = [(n, m) for n in orders for m in orders]
+    return frozenset({*orders, *(n + m for n, m in pairs), *(abs(n - m) for n, m in pairs)})
 
 
 def _height(term: Term, slow: Sequence[tuple[Stretch, Array]], electric: Electric) -> float:

@@ -21,8 +21,10 @@ from sim_rig.effects.effect import Effect, Parameter, Port, Signals
 
 PORTS = (Port.ELECTRIC_TORQUE, Port.MOTOR_TORQUE, Port.LOAD_TORQUE)
 """Between the measured effort and the measured motion; the load is taken as rigid."""
-SLOWEST_SHARE = 0.03
-"""Width of a smoothed sign change, over the rms of the velocity."""
+SLOWEST_SHARES = (0.006, 0.03)
+"""Widths of a smoothed sign change, over the rms of the velocity."""
+SLOWEST_LAW = 0.06
+"""Of that too: what changes at smaller speeds is told from no change of sign."""
 POINTS = 3
 SLOWEST_LINE = 0.5 * math.pi
 """Largest step of a line's phase between two samples that is still seen: four a period."""
@@ -67,6 +69,13 @@ class Term:
         if any(name.endswith("phase_rad") for name in self.shape):
             return True  # half a turn of its phase
         return next(p.prior.least for p in self.effect.parameters if p.name == self.strength) < 0.0
+
+    @property
+    def most(self) -> float:
+        """Of its strength: a share of something that no rig has more of; else nobody knows."""
+        if not self.strength.endswith("fraction"):
+            return math.inf
+        return next(p.prior.high for p in self.effect.parameters if p.name == self.strength)
 
 
 Electric = Callable[[Stretch], Array]
@@ -187,11 +196,15 @@ def _grid(parameter: Parameter, speed_rad_s: float) -> tuple[float, ...]:
     if parameter.name.endswith("count"):
         return (1.0,)
     if parameter.name.startswith("transition"):
-        return (float(np.clip(SLOWEST_SHARE * speed_rad_s, low, high)),)
+        widths = np.clip(np.array(SLOWEST_SHARES) * speed_rad_s, low, high)
+        return tuple(float(width) for width in np.unique(widths))
     if not (math.isfinite(low) and math.isfinite(high)):
         return (parameter.default,)
+    if parameter.name.endswith("_rad_s"):
+        low = max(low, SLOWEST_LAW * speed_rad_s)
+        high = max(high, low)
     if low > 0.0:
-        return tuple(np.geomspace(low, high, POINTS).tolist())
+        return tuple(np.unique(np.geomspace(low, high, POINTS)).tolist())
     return tuple(np.linspace(low, high, POINTS).tolist())
 
 

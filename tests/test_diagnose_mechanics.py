@@ -1,0 +1,74 @@
+"""Motors from elsewhere whose torques are known, because they were made up here.
+
+A current drives a rotor over its magnets; a speed loop keeps it turning. Angle and current are
+logged at 1 kHz, and the angle has noise.
+"""
+
+import numpy as np
+import pytest
+
+from servo_bench.diagnosis.concluding import conclude
+from servo_bench.diagnosis.judging.verdict import Verdict
+from servo_bench.recording.plant import ForeignPlant
+from servo_bench.recording.recording import Recording
+
+PER_AMPERE, FINE, SAMPLES = 5000.0, 10, 24_000
+"""Acceleration in rad/s2 a ampere, steps between two samples, and samples."""
+LINES = {12: 0.04, 18: 0.044, 24: 0.019, 36: 0.015, 72: 0.196, 144: 0.02}
+"""Order and amperes: those that a direct drive has been measured to have."""
+PLACES = ("", "second_", "third_")
+
+
+def turned(lines: dict[int, float], friction_a: float, seed: int, ripple: float = 0.0) -> Verdict:
+    """The verdict on a rotor that a loop turns at changing speeds about one revolution a second, or
+    with a ripple of its torque 24 times a revolution, both ways."""
+    rng = np.random.default_rng(seed)
+    orders, sizes = np.array(list(lines), np.float64), np.array(list(lines.values()))
+    phases = rng.uniform(-np.pi, np.pi, orders.size)
+    wanted = np.repeat(rng.uniform(3.0, 9.0, SAMPLES // 500 + 1), 500)[:SAMPLES]
+    if ripple:
+        wanted *= np.repeat(rng.choice([-1.0, 1.0], SAMPLES // 500 + 1), 500)[:SAMPLES]
+    speed, angle, held, step_s = 6.0, 0.0, 0.0, 1e-3 / FINE
+    angles, currents = np.empty(SAMPLES), np.empty(SAMPLES)
+    for k in range(SAMPLES):
+        for fine in range(FINE):
+            error = wanted[k] - speed
+            held += step_s * 0.4 * error
+            current = 0.02 * error + held
+            if fine == 0:
+                angles[k], currents[k] = angle, current
+            torque = current * (1.0 + ripple * np.sin(24.0 * angle))
+            torque -= friction_a * np.tanh(speed / 0.05)
+            torque -= float(sizes @ np.sin(orders * angle + phases))
+            speed += step_s * PER_AMPERE * torque
+            angle += step_s * speed
+    channels = {
+        "t_s": 1e-3 * np.arange(SAMPLES),
+        "current_a": currents,
+        "motor_position_rad": angles + 3e-5 * rng.normal(size=SAMPLES),
+    }
+    return conclude(
+        [Recording(channels, 1e-3, None, None, {}, plant=ForeignPlant(name="rotor"))]
+    ).verdict
+
+
+def test_all_lines_of_a_rotor_are_its_cogging_and_the_strongest_comes_first() -> None:
+    """Three have names, the others a note; none is called a ripple of the torque."""
+    verdict = turned(LINES, 0.08, seed=15)
+    assert set(verdict.names) == {"cogging", "coulomb"}
+    found = next(c for c in verdict.causes if c.effect == "cogging").parameters
+    told = [(found[f"{p}order"].value, found[f"{p}torque_nm"].value) for p in PLACES]
+    assert [order for order, _ in told] == [72.0, 18.0, 12.0]
+    assert [size for _, size in told] == pytest.approx([0.196, 0.044, 0.04], rel=0.1)
+    note = next(n for n in verdict.notes if "further lines" in n)
+    assert all(f"{order} (" in note for order in (24, 36, 144))
+
+
+def test_a_rotor_without_magnets_has_no_lines() -> None:
+    verdict = turned({72: 0.0}, 0.08, seed=4)
+    assert not {"cogging", "torque_ripple"} & set(verdict.names)
+
+
+def test_a_ripple_of_the_torque_has_its_own_name() -> None:
+    verdict = turned({72: 0.02}, 0.3, seed=5, ripple=0.1)
+    assert set(verdict.names) >= {"torque_ripple", "coulomb"}

@@ -222,6 +222,12 @@ class RigConfig(Value):
                 f"[bus] of a drive on {protocol}: {error}. It takes {allowed_text}."
             ) from error
 
+    @property
+    def load_counts_per_revolution(self) -> int | None:
+        """Of the encoder behind the coupling, on whatever line; None where the rig has none."""
+        load = self.encoder or self.drive.second_encoder
+        return load.counts_per_revolution if load else None
+
     def simulation_settings(self) -> RigSettings:
         """What the software rig needs to stand in for this rig."""
         simulated = self.simulated or SimulatedConfig()
@@ -229,7 +235,6 @@ class RigConfig(Value):
         if simulated.backlash_gap_rad is not None:
             nominal["backlash_gap_rad"] = simulated.backlash_gap_rad
         encoder = self.encoder
-        load = encoder or self.drive.second_encoder
         with gathered():
             return RigSettings(
                 nominal=Nominal(**nominal),
@@ -244,7 +249,7 @@ class RigConfig(Value):
                 encoder_node_id=(
                     encoder.node_id if isinstance(encoder, EncoderConfig) else self._free_node_id()
                 ),
-                load_counts_per_revolution=load.counts_per_revolution if load else 65536,
+                load_counts_per_revolution=self.load_counts_per_revolution or 65536,
                 plant=simulated.plant,
                 effects=self.effects | simulated.effects if simulated.plant == OWN_MODEL else {},
                 seed=simulated.seed,

@@ -101,6 +101,17 @@ def test_a_lattice_is_found_in_noise_of_a_third_of_its_quantum() -> None:
     assert found.quantum_rad == pytest.approx(quantum_rad, rel=1e-3)
 
 
+def test_a_lattice_is_found_beneath_the_counts_of_an_encoder_without_noise() -> None:
+    """Of 4.17 of its counts: every step is of four or five of them, and none of one."""
+    quantum_rad, count_rad = 4e-4, math.tau / 65536
+    clean = recorded(MODEL, 20, slots=2500, noise_counts=0.0)
+    angle = np.rint(_coarse(np.array(clean["load_angle_rad"]), quantum_rad, 0.0) / count_rad)
+    twice = with_channels(clean, load_angle_rad=angle * count_rad)
+    found = lattice(compare(twice, MODEL, scales=SCALES), MODEL)
+    assert found is not None
+    assert found.quantum_rad == pytest.approx(quantum_rad, rel=1e-3)
+
+
 def test_an_angle_that_is_but_partly_on_a_lattice_has_none() -> None:
     """A third of the rows, as chips of equal size leave it: of one that an encoder makes this noise
     leaves nine tenths."""

@@ -176,7 +176,7 @@ def lattice(comparison: Comparison, model: Model) -> Lattice | None:
     if angle.size < 200 or travel < 20 * COARSEST_QUANTUM_RAD:
         return None
     lowest, highest = 1.0 / COARSEST_QUANTUM_RAD, 1.0 / FINEST_QUANTUM_RAD
-    own = _own_quantum(angle)
+    own = _own_quantum(rows.recording, angle)
     if own > 0.0:
         highest = min(highest, 0.4 / own)
     if highest <= lowest:
@@ -225,7 +225,18 @@ def _spectrum(angle: Array, travel: float, highest: float) -> tuple[Array, Array
     return np.asarray(np.fft.rfftfreq(counted.size, width), np.float64), spectrum
 
 
-def _own_quantum(angle: Array) -> float:
+def _own_quantum(recording: Recording, angle: Array) -> float:
+    """The encoder's own count: as its rig's file has it, else what its steps are multiples of.
+
+    What is rounded twice, to its own counts at last, has steps of four of them, say, and of five.
+    """
+    counts = recording.rig.load_counts_per_revolution if recording.rig is not None else None
+    if counts is not None and "load_angle_counts" in recording:
+        return 2.0 * np.pi / counts
     steps = np.diff(np.unique(angle))
-    steps = steps[steps > 1e-9 * np.ptp(angle)]
-    return float(np.median(steps[steps < 3.0 * steps.min()])) if steps.size else 0.0
+    steps = np.sort(steps[steps > 1e-9 * np.ptp(angle)])
+    if not steps.size:
+        return 0.0
+    usual = steps[steps < 3.0 * steps[0]]
+    apart = np.diff(usual)
+    return float(min(np.median(usual), apart[apart > 1e-3 * steps[0]].min(initial=np.inf)))

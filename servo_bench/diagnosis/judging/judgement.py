@@ -51,7 +51,7 @@ UNSURE = 0.79
 """Confidence up to which a cause has no name: of 201 that were named on development seeds the three
 that had less were wrong, and of those that were right none had."""
 FEWEST_WILD = 3
-FEWEST_LOST = 2
+FEWEST_LOST = 1
 FULL_TURN = 2.0 * np.pi
 
 

@@ -177,6 +177,7 @@ _FREE = {
     "position_friction": ("swing_torque_nm", "phase_rad", "transition_rad_s"),
     "load_friction": ("torque_nm", "transition_rad_s"),
     "stribeck": ("excess_torque_nm", "stribeck_rad_s", "transition_rad_s"),
+    "thermal_friction": ("cold_torque_nm", "transition_rad_s"),
     "pre_sliding": ("torque_nm", "breakaway_angle_rad"),
     "contact": ("compliance_rad_per_nm", "damping_s", "load_inertia_kg_m2"),
     "coupling_compliance": ("compliance_rad_per_nm", "damping_s", "load_inertia_kg_m2"),

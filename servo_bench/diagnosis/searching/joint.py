@@ -6,7 +6,7 @@ vehicle     a load with a mass, on which a cause was tried, is a cause too where
 name        what is smaller than every rig has is absorbed, or gives its name to what carries it
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,13 +19,16 @@ from servo_bench.diagnosis.searching.gate import (
     is_felt,
     is_material,
     misfit,
+    strength_of,
 )
 from servo_bench.diagnosis.searching.hypotheses import ON_THE_LOAD, SPRINGS, VEHICLE
-from servo_bench.diagnosis.searching.rounds import Contender, Round, Told
+from servo_bench.diagnosis.searching.rounds import REFINES, Contender, Round, Told
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek, settle
 from servo_bench.diagnosis.searching.unknowns import Unknown, merged
+from sim_rig.effects import find_effect
 from sim_rig.errors import EffectError
+from sim_rig.model import Model
 
 NEEDED_Z, NEEDED_SHARE = 4.0, 0.01
 SOME = 0.04
@@ -142,7 +145,8 @@ def without_effect(
 ) -> Found:
     """The final search again without one effect, or with it back in its band.
 
-    Raises EffectError where what is left makes no rig.
+    What it made goes to a refinement that stays, where the search begins lower so: two frictions of
+    one kind share what either makes alone. Raises EffectError where what is left makes no rig.
     """
     back = tuple(u for u in band if u.effect == effect)
     kept = tuple(u for u in final.unknowns if u.effect != effect)
@@ -151,4 +155,20 @@ def without_effect(
         model = unknown.put(
             model, float(np.clip(unknown.of(final.model), unknown.low, unknown.high))
         )
-    return seek(whole, model, merged(kept, back), final.sigma, iterations=iterations, first=1)
+    starts = [model, *_taken_over(final.model, model, effect)]
+    costs = [errors.cost(final.sigma) for errors in whole.seen(starts)]
+    start = starts[int(np.argmin(costs))]
+    return seek(whole, start, merged(kept, back), final.sigma, iterations=iterations, first=1)
+
+
+def _taken_over(before: Model, less: Model, effect: str) -> Iterator[Model]:
+    """The model without an effect, where one that refines it has its strength and its shape."""
+    for refined, plain in REFINES.items():
+        if plain != effect or refined not in less.effects:
+            continue
+        had = before.effects[plain]._asdict()
+        params = less.effects[refined]._asdict()
+        strength = find_effect(refined).strengths[0]
+        params |= {n: v for n, v in had.items() if n in params and n != strength}
+        params[strength] += strength_of(before, plain) - strength_of(less, plain)
+        yield less.with_effect(refined, **params)

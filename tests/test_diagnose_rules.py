@@ -41,6 +41,17 @@ def test_who_takes_more_is_not_asked_for_more(
     assert passes(contender(seen, held)) is able
 
 
+@pytest.mark.parametrize(("z", "able"), [(5.2, False), (7.4, True)])
+def test_a_spring_is_surer_than_others_where_all_is_right_already(z: float, able: bool) -> None:
+    spring, torque = (
+        SimpleNamespace(effect=effect, seen_gain=0.19, seen_z=z, held_gain=0.15, held_z=z)
+        for effect in ("coupling_compliance", "cogging")
+    )
+    assert passes(spring, right=True) is able  # type: ignore[arg-type]
+    assert passes(spring)  # type: ignore[arg-type]
+    assert passes(torque, right=True)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     ("torque_constant", "inertia", "strained"),
     [

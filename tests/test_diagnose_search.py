@@ -18,6 +18,7 @@ from servo_bench.diagnosis.searching.gate import (
     passes_slowly,
 )
 from servo_bench.diagnosis.searching.hypotheses import Trial, hypotheses
+from servo_bench.diagnosis.searching.joint import is_needed, without_effect
 from servo_bench.diagnosis.searching.rounds import Contender, gone_on, merged, play_round
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, roam, seek, settle
@@ -205,6 +206,24 @@ def test_an_interval_is_wider_than_the_sandwich_and_than_what_every_rig_has(
     assert quantity.standard_error > 2.0 * reached
     assert quantity.standard_error > 0.25 * material_sizes(SCALES)["cogging"]
     assert quantity.ci95[0] < COGGING_NM < quantity.ci95[1]
+
+
+def test_what_warms_takes_over_the_friction_that_is_taken_away() -> None:
+    """Both of one kind had shared what one alone makes, with a width between theirs."""
+    warms = {"cold_torque_nm": 0.02, "transition_rad_s": 0.3}
+    seen = evidence(28, MODEL.with_effect("thermal_friction", **warms))
+    shared = MODEL.with_effect("coulomb", torque_nm=0.014, transition_rad_s=0.4).with_effect(
+        "thermal_friction", cold_torque_nm=0.006, transition_rad_s=0.1
+    )
+    free = (
+        Unknown("coulomb", "torque_nm", 0.0, 1.0, step=0.01),
+        Unknown("thermal_friction", "cold_torque_nm", 0.0, 1.0, step=0.01),
+        Unknown("thermal_friction", "transition_rad_s", 0.01, 2.0, step=0.2),
+    )
+    final = seek(seen, shared, free, seen.allowed, iterations=1)
+    less = without_effect(seen, final, "coulomb", ())
+    assert not is_needed(final, less)
+    assert less.value("thermal_friction.cold_torque_nm") == pytest.approx(0.02, rel=0.02)
 
 
 @pytest.mark.long

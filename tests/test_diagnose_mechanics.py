@@ -72,3 +72,37 @@ def test_a_rotor_without_magnets_has_no_lines() -> None:
 def test_a_ripple_of_the_torque_has_its_own_name() -> None:
     verdict = turned({72: 0.02}, 0.3, seed=5, ripple=0.1)
     assert set(verdict.names) >= {"torque_ripple", "coulomb"}
+
+
+def ramped(friction_a: float, viscous_a_s: float, seed: int) -> Verdict:
+    """A motor whose speed goes slowly up and down: its current goes into what it rubs on."""
+    rng = np.random.default_rng(seed)
+    t_s = 0.01 * np.arange(8_000)
+    velocity = 4.0 * np.interp(t_s % 40.0, [0.0, 10.0, 30.0, 40.0], [0.0, 1.0, -1.0, 0.0])
+    current = friction_a * np.sign(velocity) + viscous_a_s * velocity + 0.05
+    channels = {
+        "t_s": t_s,
+        "current_a": current + 0.03 * rng.normal(size=t_s.size),
+        "motor_position_rad": np.cumsum(velocity) * 0.01 + 5e-4 * rng.normal(size=t_s.size),
+    }
+    return conclude(
+        [Recording(channels, 1e-2, None, None, {}, plant=ForeignPlant(name="ramp"))]
+    ).verdict
+
+
+def test_friction_shows_where_an_acceleration_does_not() -> None:
+    """A slow ramp tells what a motor rubs by its current, and its inertia not at all."""
+    verdict = ramped(0.3, 0.02, seed=1)
+    found = {c.effect: c.parameters for c in verdict.causes}
+    assert set(found) == {"coulomb", "viscous"}
+    assert found["coulomb"]["torque_nm"].value == pytest.approx(0.3, rel=0.05)
+    assert found["coulomb"]["torque_nm"].unit == "A"
+    assert found["viscous"]["damping_nm_s_per_rad"].value == pytest.approx(0.02, rel=0.1)
+    assert verdict.error is not None
+    assert (verdict.error.signal, verdict.error.unit) == ("current", "A")
+    assert verdict.error.after < 2.0 * verdict.error.noise_floor
+    assert "acceleration_per_effort" not in verdict.nuisances
+
+
+def test_a_slow_ramp_without_friction_has_none() -> None:
+    assert ramped(0.0, 0.0, seed=2).causes == ()

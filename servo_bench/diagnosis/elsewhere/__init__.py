@@ -1,12 +1,11 @@
 """Verdicts on data from elsewhere: an effort in and a motion out, without a loop of ours.
 
 gate        the thresholds, all of them
-channels    what such a recording has, on even times
 weak        the equation of motion, integrated over short stretches
-terms       the catalogue's effects as columns of that equation
+equation    its columns and coefficients, solved for the acceleration or for the effort
+terms       the catalogue's effects as columns of that equation; `spectrum`: those with an order
 selection   which columns pay on blocks that did not choose them
-windows     simulation from the measured state, a second at a time
-mechanics, locked, verdicts, diagnose     the two kinds of data, and their verdict
+mechanics, looped, locked, and the verdict of each     the three kinds of data
 """
 
 from servo_bench.diagnosis.elsewhere.diagnose import diagnose_open

@@ -7,10 +7,15 @@
     c      what is constant: an offset of the sensor, a load
 
 With a voltage the electric torque is tau + (h/g) omega, in volts: what the resistance leaves.
+
+Where the effort goes into what resists a motor and little of it into speed (a slow ramp, a speed
+that is held), the same is solved for the effort, with the acceleration as a column:
+
+    tau = (1/g) d omega/dt - (h/g) omega - c/g - sum_k (torque of term k) x size k
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,12 +33,17 @@ STICKS = 0.01
 
 @dataclass(frozen=True)
 class Design:
-    """The columns of an equation in one set of rows; terms own the last ones, in order."""
+    """The columns of an equation in one set of rows; terms own the last ones, in order.
+
+    `target`, shape (rows,), is what they explain: the acceleration, or where `inverse` the effort.
+    """
 
     rows: WeakRows
     voltage: bool
     terms: tuple[Term, ...]
     matrix: Array
+    target: Array
+    inverse: bool = False
 
     @property
     def base(self) -> int:
@@ -51,25 +61,48 @@ class Design:
         gone = self.owned(number)
         kept = [k for k in range(self.matrix.shape[1]) if not gone.start <= k < gone.stop]
         terms = (*self.terms[:number], *self.terms[number + 1 :])
-        return Design(self.rows, self.voltage, terms, self.matrix[:, kept])
+        return replace(self, terms=terms, matrix=self.matrix[:, kept])
 
     def plus(self, term: Term, added: Array) -> "Design":
         """The same and one term more."""
         matrix = np.concatenate([self.matrix, added], axis=1)
-        return Design(self.rows, self.voltage, (*self.terms, term), matrix)
+        return replace(self, terms=(*self.terms, term), matrix=matrix)
+
+    def in_effort(self, coefficients: Array) -> Array:
+        """All coefficients as torques in units of the effort; shape (columns,). The first is one
+        over the acceleration that a unit of it makes."""
+        if self.inverse:
+            return np.concatenate([coefficients[:1], -coefficients[1:]])
+        return np.asarray(np.concatenate([[1.0], coefficients[1:]]) / coefficients[0])
+
+    def gradient(self, along: Array, ratio: Array, coefficients: Array) -> Array:
+        """Of a number q of a term by the first coefficient and its own, from dq/d ratio `along`,
+        where `ratio` are the own ones in units of the effort."""
+        if self.inverse:
+            return np.concatenate([[0.0], -along])
+        return np.asarray(np.concatenate([[-float(along @ ratio)], along]) / coefficients[0])
 
 
-def base_design(rows: WeakRows, *, voltage: bool) -> Design:
-    """Effort, constant, and with a voltage the velocity."""
-    found = [rows.column(lambda s: s.effort), np.ones(rows.left.size)]
+def base_design(rows: WeakRows, *, voltage: bool, inverse: bool = False) -> Design:
+    """Effort, constant, and with a voltage the velocity; or the acceleration for the effort."""
+    effort = rows.column(lambda s: s.effort)
+    target, first = (effort, rows.left) if inverse else (rows.left, effort)
+    found = [first, np.ones(rows.left.size)]
     if voltage:
         found.append(rows.column(lambda s: s.velocity_rad_s))
-    return Design(rows, voltage, (), np.stack(found, axis=1))
+    return Design(rows, voltage, (), np.stack(found, axis=1), target, inverse)
 
 
-def design(rows: WeakRows, terms: Sequence[Term], electric: Electric, *, voltage: bool) -> Design:
+def design(
+    rows: WeakRows,
+    terms: Sequence[Term],
+    electric: Electric,
+    *,
+    voltage: bool,
+    inverse: bool = False,
+) -> Design:
     """The base and these terms."""
-    found = base_design(rows, voltage=voltage)
+    found = base_design(rows, voltage=voltage, inverse=inverse)
     for term in terms:
         found = found.plus(term, columns(term, rows, electric))
     return found
@@ -79,7 +112,7 @@ def electric_of(found: Design, coefficients: Array) -> Electric:
     """The electric torque, in units of the effort, by the present equation."""
     if not found.voltage:
         return lambda s: s.effort
-    back = min(float(coefficients[2] / coefficients[0]), 0.0)
+    back = min(float(found.in_effort(coefficients)[2]), 0.0)
 
     def electric(stretch: Stretch) -> Array:
         return np.asarray(stretch.effort + back * stretch.velocity_rad_s)
@@ -100,7 +133,7 @@ def solve(matrix: Array, left: Array, weight: Array) -> Array:
 def covariance(found: Design, coefficients: Array, weight: Array) -> Array:
     """Block sandwich of the coefficients, shape (columns, columns)."""
     heavy = found.matrix * weight[:, None]
-    errors = (found.rows.left - found.matrix @ coefficients) * weight
+    errors = (found.target - found.matrix @ coefficients) * weight
     sums = np.stack([np.bincount(found.rows.block, c * errors) for c in heavy.T], axis=1)
     inverse = np.linalg.pinv(heavy.T @ heavy, hermitian=True)
     return np.asarray(inverse @ (sums.T @ sums) @ inverse)
@@ -114,11 +147,11 @@ def deviations(found: Design, number: int, coefficients: Array, spread: Array) -
     return float(np.sqrt(max(squared, 0.0)))
 
 
-def usual_torques(rows: WeakRows) -> Array:
+def usual_torques(rows: WeakRows, *, inverse: bool = False) -> Array:
     """What effort, speed, friction and a weight may make, whatever of it is there."""
     return np.stack(
         [
-            *base_design(rows, voltage=True).matrix.T,
+            *base_design(rows, voltage=True, inverse=inverse).matrix.T,
             rows.column(lambda s: np.sign(s.velocity_rad_s)),
             rows.column(lambda s: np.nan_to_num(np.sin(s.angle_rad))),
             rows.column(lambda s: np.nan_to_num(np.cos(s.angle_rad))),

@@ -7,6 +7,7 @@ import numpy as np
 
 from servo_bench.diagnosis.elsewhere import gate
 from servo_bench.diagnosis.elsewhere.equation import (
+    Design,
     base_design,
     covariance,
     design,
@@ -16,7 +17,12 @@ from servo_bench.diagnosis.elsewhere.equation import (
     weights,
 )
 from servo_bench.diagnosis.elsewhere.selection import Selected, folds_of, select
-from servo_bench.diagnosis.elsewhere.weak import WeakRows, noise_share, weak_rows
+from servo_bench.diagnosis.elsewhere.weak import (
+    WeakRows,
+    effort_noise,
+    noise_share,
+    weak_rows,
+)
 from servo_bench.diagnosis.fitting.foreign_channels import (
     Array,
     Motion,
@@ -27,15 +33,17 @@ from servo_bench.diagnosis.fitting.foreign_channels import (
 from servo_bench.errors import ConfigError, FitError
 from servo_bench.recording.recording import Recording
 
+HALF = 0.5
 MOTIONS: tuple[Motion, ...] = ("motor_velocity_rad_s", "motor_position_rad")
 
 
 @dataclass(frozen=True)
 class MechanicsFinding:
-    """Everything that a verdict is written from; errors are of the acceleration, in rad/s2.
+    """Everything that a verdict is written from; errors are of the acceleration, in rad/s2, or of
+    the effort in its unit where the equation was solved for that (`inverse`).
 
-    `before` and `after` are on held-out rows, `floor` is what the motion's sensor makes, and
-    `fit_before`, `fit_after` are 1 - (error/acceleration)^2 there, in the selection's weights.
+    `before` and `after` are on held-out rows, `floor` is what the sensor makes, and `fit_before`,
+    `fit_after` are 1 - (error/what it is of)^2 there, in the selection's weights.
     """
 
     recording: Recording
@@ -50,6 +58,11 @@ class MechanicsFinding:
     moved: float
     fit_before: float
     fit_after: float
+
+    @property
+    def inverse(self) -> bool:
+        """Whether the effort was explained by the motion."""
+        return self.selected.design.inverse
 
     @property
     def voltage(self) -> bool:
@@ -75,34 +88,36 @@ def judge_mechanics(
     effort = efforts.pop()
     rows, motion = _rows(recordings, effort)
     voltage = effort == "voltage_v"
-    selected = select(rows, voltage=voltage, without=without, only=only)
+    inverse = _holds_speed(rows)
+    selected = select(rows, voltage=voltage, inverse=inverse, without=without, only=only)
     now = selected.design
-    plain = base_design(rows, voltage=voltage)
+    plain = base_design(rows, voltage=voltage, inverse=inverse)
     if held_out is not None:
         unseen, _ = _rows([held_out], effort, motion, rows.half)
         electric = electric_of(now, selected.coefficients)
-        judged = design(unseen, now.terms, electric, voltage=voltage)
-        judged_plain = base_design(unseen, voltage=voltage)
+        judged = design(unseen, now.terms, electric, voltage=voltage, inverse=inverse)
+        judged_plain = base_design(unseen, voltage=voltage, inverse=inverse)
         fitted, here = np.ones(rows.left.size, bool), np.ones(unseen.left.size, bool)
     else:
         folds = folds_of(rows)
         here = folds == folds.max()
         fitted, judged, judged_plain = ~here, now, plain
-    left = judged.rows.left[here]
+    left = judged.target[here]
     scale = np.where(selected.weight > 0.0, 1.0, 0.0)
     errors = [
         left
         - seen.matrix[here]
-        @ solve(made.matrix[fitted], rows.left[fitted], (selected.weight * scale)[fitted])
+        @ solve(made.matrix[fitted], made.target[fitted], (selected.weight * scale)[fitted])
         for made, seen in ((plain, judged_plain), (now, judged))
     ]
-    weight = weights(judged.rows, judged.rows.left - judged.matrix @ selected.coefficients)[here]
+    weight = weights(judged.rows, judged.target - judged.matrix @ selected.coefficients)[here]
     if not weight.any():
         raise FitError("the held-out part never moves: give one in which the motor turns.")
     before, after, moved = (
         float(np.sqrt(np.average(e**2, weights=weight > 0.0))) for e in (*errors, left)
     )
-    about = float(np.sum((left * weight) ** 2))
+    middle = float(np.average(left, weights=weight**2)) if inverse else 0.0
+    about = float(np.sum(((left - middle) * weight) ** 2))
     fits = [1.0 - float(np.sum((e * weight) ** 2)) / about for e in errors]
     return MechanicsFinding(
         recording=recordings[0],
@@ -113,7 +128,7 @@ def judge_mechanics(
         covariance=covariance(now, selected.coefficients, selected.weight),
         before=before,
         after=after,
-        floor=noise_share(judged.rows) * float(judged.rows.left.std()),
+        floor=_floor(judged),
         moved=moved,
         fit_before=fits[0],
         fit_after=fits[1],
@@ -145,8 +160,24 @@ def _rows(
     return rows, name
 
 
-def _plainly_left(rows: WeakRows) -> float:
-    """Share of the acceleration that the usual torques leave."""
-    matrix = usual_torques(rows)
-    errors = rows.left - matrix @ solve(matrix, rows.left, np.ones(rows.left.size))
-    return float(errors @ errors) / max(float(rows.left @ rows.left), 1e-300)
+def _plainly_left(rows: WeakRows, *, inverse: bool = False) -> float:
+    """Share of the acceleration, or of the effort's changes, that the usual torques leave."""
+    target = base_design(rows, voltage=False, inverse=inverse).target
+    if inverse:
+        target = target - target.mean()
+    matrix = usual_torques(rows, inverse=inverse)
+    errors = target - matrix @ solve(matrix, target, np.ones(target.size))
+    return float(errors @ errors) / max(float(target @ target), 1e-300)
+
+
+def _holds_speed(rows: WeakRows) -> bool:
+    """Whether usual torques explain the effort by the motion, and not the acceleration by it: on a
+    slow ramp, or at speeds that are held, the effort goes into what resists."""
+    return _plainly_left(rows) > HALF > _plainly_left(rows, inverse=True)
+
+
+def _floor(judged: Design) -> float:
+    """Rms of the sensor's noise in what is explained."""
+    if judged.inverse:
+        return effort_noise(judged.rows)
+    return noise_share(judged.rows) * float(judged.rows.left.std())

@@ -14,6 +14,7 @@ from servo_bench.diagnosis.searching.classes import class_of, splitting
 
 QUIET = 1.5
 """An acceleration of no more than so many of its noise floor tells of nothing but the noise."""
+SIGNALS = {"current_a": "current", "motor_current_a": "current", "voltage_v": "voltage"}
 UNITS = {"current_a": "A", "motor_current_a": "A", "voltage_v": "V"}
 
 
@@ -28,8 +29,8 @@ def mechanics_verdict(found: MechanicsFinding) -> Verdict:
         after=found.before if quiet else found.after,
         noise_floor=found.floor,
         share_explained=0.0 if quiet else float(np.clip(share, 0.0, 1.0)),
-        signal="motor acceleration",
-        unit="rad/s2",
+        signal=_signal(found),
+        unit=UNITS.get(found.effort, "N m") if found.inverse else "rad/s2",
     )
     split = next((c.splitting_experiment for c in causes if c.splitting_experiment), "")
     return Verdict(
@@ -95,17 +96,17 @@ def _sizes(found: MechanicsFinding, number: int, step: Step) -> dict[str, Quanti
     term, chosen = step.term, found.selected
     own = chosen.design.owned(number)
     at = [0, *range(own.start, own.stop)]
-    values = chosen.coefficients[at]
     spread = found.covariance[np.ix_(at, at)]
-    ratio = values[1:] / values[0]
+    ratio = chosen.design.in_effort(chosen.coefficients)[own]
     size = float(np.hypot.reduce(ratio)) if term.phase is not None else float(ratio[0])
     toward = ratio / size if size else np.ones_like(ratio)
-    slope = np.concatenate([[-size], toward]) / values[0]
+    slope = chosen.design.gradient(toward, ratio, chosen.coefficients)
     factor = term.size or 1.0
     found_sizes = {term.strength: _quantity(found, term.strength, size * factor, slope, spread)}
     if term.phase is not None:
         phase = float(np.arctan2(ratio[1], ratio[0]))
-        turn = np.array([0.0, -ratio[1], ratio[0]]) / (max(size, 1e-300) ** 2 * values[0])
+        around = np.array([-ratio[1], ratio[0]]) / max(size, 1e-300) ** 2
+        turn = chosen.design.gradient(around, ratio, chosen.coefficients)
         found_sizes[term.phase] = _quantity(found, term.phase, phase, turn, spread)
     for name, value in term.shape.items():
         found_sizes[name] = Quantity(
@@ -131,22 +132,26 @@ def _quantity(
 
 
 def _nuisances(found: MechanicsFinding) -> dict[str, float]:
-    values = found.selected.coefficients
-    numbers = {
-        "acceleration_per_effort": float(values[0]),
-        "offset_effort": float(values[1] / values[0]),
-        "velocity_lag_s": found.lag_s,
-    }
+    values = found.selected.design.in_effort(found.selected.coefficients)
+    numbers = {"offset_effort": float(values[1]), "velocity_lag_s": found.lag_s}
     if found.voltage:
-        numbers["back_emf_v_s_per_rad"] = float(-values[2] / values[0])
+        numbers["back_emf_v_s_per_rad"] = float(-values[2])
+    if values[0] > 2.0 * np.sqrt(found.covariance[0, 0]) or not found.inverse:
+        numbers["acceleration_per_effort"] = float(1.0 / values[0])
     return numbers
 
 
 def _notes(found: MechanicsFinding) -> Iterator[str]:
+    signal = _signal(found).removeprefix("motor ").capitalize()
     yield (
-        f"Acceleration R2 on held-out rows: {found.fit_before:.4f} without any effect, "
+        f"{signal} R2 on held-out rows: {found.fit_before:.4f} without any effect, "
         f"{found.fit_after:.4f} with those named."
     )
+    if found.inverse:
+        yield (
+            "The effort went into what resists the motor, and little of it into speed: the effort "
+            "was explained by the motion, and the inertia is known by what little it accelerated."
+        )
     if found.effort in UNITS:
         yield (
             f"Torques are in units of the effort, {UNITS[found.effort]}: neither K_T nor J was "
@@ -183,7 +188,12 @@ def _further_lines(found: MechanicsFinding) -> Iterator[str]:
 
 def _is_quiet(found: MechanicsFinding) -> bool:
     """Whether the motor hardly changed its speed where no fit saw it."""
-    return 0.0 < found.moved <= QUIET * found.floor
+    return not found.inverse and 0.0 < found.moved <= QUIET * found.floor
+
+
+def _signal(found: MechanicsFinding) -> str:
+    """What the errors are of."""
+    return SIGNALS.get(found.effort, "torque") if found.inverse else "motor acceleration"
 
 
 def _of_the_noise(found: MechanicsFinding) -> str:
@@ -198,11 +208,13 @@ def _sentence(found: MechanicsFinding, causes: tuple[Cause, ...], error: ErrorFi
     if not causes:
         return (
             f"Nothing pays: inertia, {'back-EMF' if found.voltage else 'torque'} and an offset "
-            f"explain {100.0 * found.fit_before:.1f} % of the acceleration, and no effect of the "
+            f"explain {100.0 * found.fit_before:.1f} % of the "
+            f"{_signal(found).removeprefix('motor ')}, and no effect of the "
             "catalogue takes a part of the rest on blocks that no fit saw."
         )
     names = ", ".join(c.effect.replace("_", " ") for c in causes)
     return (
-        f"The plain motor lacks {names}: its acceleration error on data that no fit saw falls from "
+        f"The plain motor lacks {names}: its {_signal(found).removeprefix('motor ')} error on data "
+        "that no fit saw falls from "
         f"{error.before:.3g} to {error.after:.3g} {error.unit}."
     )

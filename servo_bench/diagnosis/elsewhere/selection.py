@@ -64,21 +64,26 @@ class Selected:
 
 
 def select(
-    rows: WeakRows, *, voltage: bool, without: Collection[str] = (), only: Collection[str] = ()
+    rows: WeakRows,
+    *,
+    voltage: bool,
+    inverse: bool = False,
+    without: Collection[str] = (),
+    only: Collection[str] = (),
 ) -> Selected:
     """Forward and backward selection on these rows."""
     folds = folds_of(rows)
-    now = base_design(rows, voltage=voltage)
+    now = base_design(rows, voltage=voltage, inverse=inverse)
     plain = tuple(candidates(rows, voltage=voltage, without=without, only=only))
     steps: list[Step] = []
     refused: Step | None = None
     made: dict[str, Array] = {}
     while True:
         coefficients, weight, electric = fitted(now)
-        now = design(rows, now.terms, electric, voltage=voltage)
+        now = design(rows, now.terms, electric, voltage=voltage, inverse=inverse)
         if len(now.terms) == gate.MOST_TERMS:
             break
-        errors = (rows.left - now.matrix @ coefficients) * weight**2
+        errors = (now.target - now.matrix @ coefficients) * weight**2
         tried = [*plain, *lines(rows, errors, electric, now.terms, without=without, only=only)]
         if voltage:
             made.clear()  # the electric torque has changed
@@ -109,12 +114,13 @@ def fitted(now: Design) -> tuple[Array, Array, Electric]:
 
     Weights are told by what the usual torques leave too, else a missing one would hide itself.
     """
-    matrix = np.concatenate([now.matrix, usual_torques(now.rows)], axis=1)
-    weight = np.ones(now.rows.left.size)
+    usual = usual_torques(now.rows, inverse=now.inverse)
+    matrix = np.concatenate([now.matrix, usual], axis=1)
+    weight = np.ones(now.target.size)
     for _ in range(3):
-        errors = now.rows.left - matrix @ solve(matrix, now.rows.left, weight)
+        errors = now.target - matrix @ solve(matrix, now.target, weight)
         weight = weights(now.rows, errors)
-    coefficients = solve(now.matrix, now.rows.left, weight)
+    coefficients = solve(now.matrix, now.target, weight)
     return coefficients, weight, electric_of(now, coefficients)
 
 
@@ -129,7 +135,7 @@ def folds_of(rows: WeakRows) -> NDArray[np.int64]:
 
 def held_errors(now: Design, weight: Array, folds: NDArray[np.int64]) -> Array:
     """Errors of every row by coefficients that did not see its part, over their scatter."""
-    matrix, left = now.matrix * weight[:, None], now.rows.left * weight
+    matrix, left = now.matrix * weight[:, None], now.target * weight
     errors = np.zeros(left.size)
     ones = np.ones(left.size)
     for part in np.unique(folds):
@@ -181,7 +187,7 @@ def _best(
         if not added.size or _is_small(now, added, weight):
             continue
         more = now.plus(term, added)
-        coefficients = solve(more.matrix, more.rows.left, weight)
+        coefficients = solve(more.matrix, more.target, weight)
         if not _has_meaning(more, len(more.terms) - 1, coefficients):
             continue
         found.append((block_costs(held_errors(more, weight, folds), now.rows), more))
@@ -237,9 +243,9 @@ def _novel(now: Design, term: Term, added: Array, weight: Array) -> tuple[Term, 
 def _is_small(now: Design, added: Array, weight: Array) -> bool:
     """Whether its torque, at the size that fits, is too small beside the effort for a name."""
     matrix = np.concatenate([now.matrix, added], axis=1)
-    coefficients = solve(matrix, now.rows.left, weight)
+    coefficients = solve(matrix, now.target, weight)
     made = added @ coefficients[now.matrix.shape[1] :]
-    effort = now.matrix[:, 0] * coefficients[0]
+    effort = now.target if now.inverse else now.matrix[:, 0] * coefficients[0]
     return float(np.std(made)) < gate.MATERIAL * float(np.std(effort))
 
 
@@ -250,7 +256,7 @@ def _has_meaning(now: Design, number: int, coefficients: Array) -> bool:
     if term.phase is not None:
         ripples = term.effect.port is Port.ELECTRIC_TORQUE
         return not (ripples and term.order in mixed_orders(now.terms))
-    size = float(coefficients[now.owned(number)][0] / coefficients[0])
+    size = float(now.in_effort(coefficients)[now.owned(number)][0])
     if term.size is not None:
         return 1.0 / LARGEST_OFF < size < LARGEST_OFF
     return (size > 0.0 or term.signed) and abs(size) <= term.most
@@ -303,7 +309,7 @@ def _exchanged(
         for k in sorted(out, reverse=True):
             less = less.without(k)
         plain, lined = asked
-        others = [*lined(gone[0]), *(t for t in plain if t.name not in {g.name for g in gone})]
+        others = [*lined(gone[0]), *(t for t in plain if t not in gone)]
         found = _best(less, others, weight, folds, partial(made, electric))
         if found is None:
             continue

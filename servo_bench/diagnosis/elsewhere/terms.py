@@ -23,7 +23,7 @@ PORTS = (Port.ELECTRIC_TORQUE, Port.MOTOR_TORQUE, Port.LOAD_TORQUE)
 """Between the measured effort and the measured motion; the load is taken as rigid."""
 SLOWEST_SHARES = (0.006, 0.03)
 """Widths of a smoothed sign change, over the rms of the velocity."""
-SLOWEST_LAW = 0.06
+SLOWEST_LAW = 0.12
 """Of that too: what changes at smaller speeds is told from no change of sign."""
 POINTS = 3
 SLOWEST_LINE = 0.5 * math.pi

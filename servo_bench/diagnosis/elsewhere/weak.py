@@ -65,6 +65,13 @@ def noise_share(rows: WeakRows) -> float:
     return float(noise / max(float(rows.left.std()), 1e-300))
 
 
+def effort_noise(rows: WeakRows) -> float:
+    """Noise of the effort in a row, rms, in its unit; told as the motion's."""
+    quick = np.concatenate([np.diff(s.effort[::FINE], 3) for s in rows.stretches])
+    sigma = 1.4826 * float(np.median(np.abs(quick))) / np.sqrt(20.0)
+    return float(sigma * np.sqrt(FINE * np.sum(_bump(rows.half) ** 2)))
+
+
 def _rows(stretches: tuple[Stretch, ...], motion: Motion, half: int) -> WeakRows:
     kept = tuple(s for s in stretches if s.time_s.size > 2 * half + 1)
     empty = np.zeros(0)

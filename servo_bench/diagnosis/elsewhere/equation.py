@@ -139,12 +139,24 @@ def covariance(found: Design, coefficients: Array, weight: Array) -> Array:
     return np.asarray(inverse @ (sums.T @ sums) @ inverse)
 
 
-def deviations(found: Design, number: int, coefficients: Array, spread: Array) -> float:
-    """Standard errors by which a term's coefficients stand beyond zero."""
+def size_of(found: Design, number: int, coefficients: Array, spread: Array) -> tuple[float, float]:
+    """A term's size in units of the effort, with a phase its amplitude, and its standard error by
+    the delta method from the coefficients' covariance."""
     own = found.owned(number)
-    values = coefficients[own]
-    squared = float(values @ np.linalg.pinv(spread[own, own], hermitian=True) @ values)
-    return float(np.sqrt(max(squared, 0.0)))
+    ratio = found.in_effort(coefficients)[own]
+    size = float(np.hypot.reduce(ratio)) if found.terms[number].phase else float(ratio[0])
+    toward = ratio / size if size else np.ones_like(ratio)
+    return size, error_of(found, number, coefficients, spread, toward)
+
+
+def error_of(found: Design, number: int, coefficients: Array, spread: Array, along: Array) -> float:
+    """Standard error of a number of a term, of which `along` is the derivative by its own
+    coefficients in units of the effort."""
+    own = found.owned(number)
+    at = [0, *range(own.start, own.stop)]
+    ratio = found.in_effort(coefficients)[own]
+    slope = found.gradient(along, ratio, coefficients)
+    return float(np.sqrt(max(float(slope @ spread[np.ix_(at, at)] @ slope), 0.0)))
 
 
 def usual_torques(rows: WeakRows, *, inverse: bool = False) -> Array:

@@ -15,6 +15,8 @@ HELD_SHARE = 0.01
 """Least share of the held-out error's square that the effect takes away."""
 SURE = 4.0
 """Standard errors of an effect's size beyond zero; a sandwich of few blocks is too sure."""
+QUIET = 1.5
+"""What is no more than so many of its noise floor tells of nothing but the noise."""
 MATERIAL = 0.015
 """Least rms of the effect's torque over that of the effort."""
 ALIKE = 0.002

@@ -33,7 +33,10 @@ from servo_bench.diagnosis.fitting.foreign_channels import (
 from servo_bench.errors import ConfigError, FitError
 from servo_bench.recording.recording import Recording
 
-HALF = 0.5
+HALF, NEARLY_ALL = 0.5, 0.1
+"""Of the acceleration, that selection explains at least; and of the effort's changes, what usual
+torques leave at most where it goes into what resists (a slow ramp, speeds that are held)."""
+ROUNDING = 1e-9
 MOTIONS: tuple[Motion, ...] = ("motor_velocity_rad_s", "motor_position_rad")
 
 
@@ -65,6 +68,11 @@ class MechanicsFinding:
         return self.selected.design.inverse
 
     @property
+    def quiet(self) -> bool:
+        """Whether what was to be explained hardly changed where no fit saw it."""
+        return 0.0 <= self.moved <= gate.QUIET * self.floor
+
+    @property
     def voltage(self) -> bool:
         """Whether a voltage drives."""
         return self.effort == "voltage_v"
@@ -77,7 +85,8 @@ def judge_mechanics(
     without: Collection[str] = (),
     only: Collection[str] = (),
 ) -> MechanicsFinding:
-    """Select on the recordings, judge on the held-out one, else on the last fold of theirs."""
+    """Select on the recordings, judge on the held-out one, else on the last fold of theirs. Where
+    nothing explains the acceleration the equation is solved for the effort."""
     every = (*recordings, *((held_out,) if held_out is not None else ()))
     efforts = {effort_of(one) for one in every}
     if len(efforts) > 1:
@@ -87,13 +96,28 @@ def judge_mechanics(
         )
     effort = efforts.pop()
     rows, motion = _rows(recordings, effort)
+    unseen = _rows([held_out], effort, motion, rows.half)[0] if held_out is not None else None
     voltage = effort == "voltage_v"
-    inverse = _holds_speed(rows)
-    selected = select(rows, voltage=voltage, inverse=inverse, without=without, only=only)
-    now = selected.design
+
+    def found(*, inverse: bool) -> MechanicsFinding:
+        chosen = select(rows, voltage=voltage, inverse=inverse, without=without, only=only)
+        return _finding(recordings[0], effort, chosen, unseen)
+
+    by_motion = found(inverse=False)
+    if by_motion.fit_after < HALF and _plainly_left(rows, inverse=True) < NEARLY_ALL:
+        by_effort = found(inverse=True)
+        return by_motion if by_effort.quiet else by_effort
+    return by_motion
+
+
+def _finding(
+    recording: Recording, effort: str, selected: Selected, unseen: WeakRows | None
+) -> MechanicsFinding:
+    """What was selected, on rows that took no part in it, else on the last fold of its own."""
+    now, inverse = selected.design, selected.design.inverse
+    rows, voltage = now.rows, now.voltage
     plain = base_design(rows, voltage=voltage, inverse=inverse)
-    if held_out is not None:
-        unseen, _ = _rows([held_out], effort, motion, rows.half)
+    if unseen is not None:
         electric = electric_of(now, selected.coefficients)
         judged = design(unseen, now.terms, electric, voltage=voltage, inverse=inverse)
         judged_plain = base_design(unseen, voltage=voltage, inverse=inverse)
@@ -113,22 +137,22 @@ def judge_mechanics(
     weight = weights(judged.rows, judged.target - judged.matrix @ selected.coefficients)[here]
     if not weight.any():
         raise FitError("the held-out part never moves: give one in which the motor turns.")
+    moves = left - (np.average(left, weights=weight**2) if inverse else 0.0)
     before, after, moved = (
-        float(np.sqrt(np.average(e**2, weights=weight > 0.0))) for e in (*errors, left)
+        float(np.sqrt(np.average(e**2, weights=weight > 0.0))) for e in (*errors, moves)
     )
-    middle = float(np.average(left, weights=weight**2)) if inverse else 0.0
-    about = float(np.sum(((left - middle) * weight) ** 2))
+    about = max(float(np.sum((moves * weight) ** 2)), 1e-300)
     fits = [1.0 - float(np.sum((e * weight) ** 2)) / about for e in errors]
     return MechanicsFinding(
-        recording=recordings[0],
+        recording=recording,
         effort=effort,
-        motion=motion,
-        lag_s=velocity_lag_s(recordings[0]),
+        motion=rows.motion,
+        lag_s=velocity_lag_s(recording),
         selected=selected,
         covariance=covariance(now, selected.coefficients, selected.weight),
         before=before,
         after=after,
-        floor=_floor(judged),
+        floor=max(_floor(judged), ROUNDING * float(np.abs(left).max())),
         moved=moved,
         fit_before=fits[0],
         fit_after=fits[1],
@@ -168,12 +192,6 @@ def _plainly_left(rows: WeakRows, *, inverse: bool = False) -> float:
     matrix = usual_torques(rows, inverse=inverse)
     errors = target - matrix @ solve(matrix, target, np.ones(target.size))
     return float(errors @ errors) / max(float(target @ target), 1e-300)
-
-
-def _holds_speed(rows: WeakRows) -> bool:
-    """Whether usual torques explain the effort by the motion, and not the acceleration by it: on a
-    slow ramp, or at speeds that are held, the effort goes into what resists."""
-    return _plainly_left(rows) > HALF > _plainly_left(rows, inverse=True)
 
 
 def _floor(judged: Design) -> float:

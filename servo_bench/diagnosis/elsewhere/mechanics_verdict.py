@@ -5,22 +5,22 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from servo_bench.diagnosis.elsewhere import gate
+from servo_bench.diagnosis.elsewhere.equation import error_of, size_of
 from servo_bench.diagnosis.elsewhere.mechanics import MechanicsFinding
 from servo_bench.diagnosis.elsewhere.selection import Step
-from servo_bench.diagnosis.fitting.foreign_channels import Array
 from servo_bench.diagnosis.fitting.free import unit_of
 from servo_bench.diagnosis.judging.verdict import Cause, ErrorFigures, Quantity, Verdict
 from servo_bench.diagnosis.searching.classes import class_of, splitting
 
-QUIET = 1.5
-"""An acceleration of no more than so many of its noise floor tells of nothing but the noise."""
+EXPLAINED = 0.5
+"""Of what no fit saw, that a plain motor explains at least where nothing pays beside it."""
 SIGNALS = {"current_a": "current", "motor_current_a": "current", "voltage_v": "voltage"}
 UNITS = {"current_a": "A", "motor_current_a": "A", "voltage_v": "V"}
 
 
 def mechanics_verdict(found: MechanicsFinding) -> Verdict:
     """Named causes with sizes, or none with the reason."""
-    quiet = _is_quiet(found)
+    quiet = found.quiet
     causes = () if quiet else tuple(_causes(found))
     explainable = found.before**2 - found.floor**2
     share = (found.before**2 - found.after**2) / explainable if explainable > 0.0 else 0.0
@@ -34,12 +34,12 @@ def mechanics_verdict(found: MechanicsFinding) -> Verdict:
     )
     split = next((c.splitting_experiment for c in causes if c.splitting_experiment), "")
     return Verdict(
-        verdict="named" if causes else "unknown" if quiet else "none",
+        verdict="named" if causes else "unknown" if quiet or _is_lost(found) else "none",
         sentence=_of_the_noise(found) if quiet else _sentence(found, causes, error),
         causes=causes,
         error=error,
         notes=tuple(_notes(found)),
-        undecided=("Whatever needs an acceleration to show.",) if quiet else (),
+        undecided=_undecided(found, quiet=quiet),
         next_run="Drive it with steps both ways, to the recording's end." if quiet else split,
         effects={c.effect: {n: q.value for n, q in c.parameters.items()} for c in causes},
         nuisances=_nuisances(found),
@@ -94,20 +94,15 @@ def _by_size(
 def _sizes(found: MechanicsFinding, number: int, step: Step) -> dict[str, Quantity]:
     """Strength (and phase) by the delta method, and the shape that was chosen."""
     term, chosen = step.term, found.selected
-    own = chosen.design.owned(number)
-    at = [0, *range(own.start, own.stop)]
-    spread = found.covariance[np.ix_(at, at)]
-    ratio = chosen.design.in_effort(chosen.coefficients)[own]
-    size = float(np.hypot.reduce(ratio)) if term.phase is not None else float(ratio[0])
-    toward = ratio / size if size else np.ones_like(ratio)
-    slope = chosen.design.gradient(toward, ratio, chosen.coefficients)
+    know = (chosen.design, number, chosen.coefficients, found.covariance)
+    ratio = chosen.design.in_effort(chosen.coefficients)[chosen.design.owned(number)]
+    size, error = size_of(*know)
     factor = term.size or 1.0
-    found_sizes = {term.strength: _quantity(found, term.strength, size * factor, slope, spread)}
+    found_sizes = {term.strength: _quantity(found, term.strength, size * factor, error * factor)}
     if term.phase is not None:
         phase = float(np.arctan2(ratio[1], ratio[0]))
         around = np.array([-ratio[1], ratio[0]]) / max(size, 1e-300) ** 2
-        turn = chosen.design.gradient(around, ratio, chosen.coefficients)
-        found_sizes[term.phase] = _quantity(found, term.phase, phase, turn, spread)
+        found_sizes[term.phase] = _quantity(found, term.phase, phase, error_of(*know, around))
     for name, value in term.shape.items():
         found_sizes[name] = Quantity(
             value=value, unit=unit_of(name), ci95=(value, value), standard_error=0.0
@@ -115,10 +110,7 @@ def _sizes(found: MechanicsFinding, number: int, step: Step) -> dict[str, Quanti
     return found_sizes
 
 
-def _quantity(
-    found: MechanicsFinding, name: str, value: float, slope: Array, spread: Array
-) -> Quantity:
-    error = float(np.sqrt(max(float(slope @ spread @ slope), 0.0)))
+def _quantity(found: MechanicsFinding, name: str, value: float, error: float) -> Quantity:
     unit = unit_of(name)
     effort = UNITS.get(found.effort)
     if effort is not None and unit.startswith("N m"):
@@ -168,6 +160,14 @@ def _notes(found: MechanicsFinding) -> Iterator[str]:
         )
 
 
+def _undecided(found: MechanicsFinding, *, quiet: bool) -> tuple[str, ...]:
+    if quiet:
+        return ("Whatever needs an acceleration to show.",)
+    if found.inverse:
+        return ("What goes with the effort itself: K_T, its ripple, friction under load.",)
+    return ()
+
+
 def _further_lines(found: MechanicsFinding) -> Iterator[str]:
     """Lines beyond those that an effect's parameters have names for."""
     steps = found.selected.steps
@@ -186,9 +186,9 @@ def _further_lines(found: MechanicsFinding) -> Iterator[str]:
             )
 
 
-def _is_quiet(found: MechanicsFinding) -> bool:
-    """Whether the motor hardly changed its speed where no fit saw it."""
-    return not found.inverse and 0.0 < found.moved <= QUIET * found.floor
+def _is_lost(found: MechanicsFinding) -> bool:
+    """Whether neither a plain motor nor any effect explains what is there."""
+    return found.fit_after < EXPLAINED
 
 
 def _signal(found: MechanicsFinding) -> str:
@@ -205,6 +205,12 @@ def _of_the_noise(found: MechanicsFinding) -> str:
 
 
 def _sentence(found: MechanicsFinding, causes: tuple[Cause, ...], error: ErrorFigures) -> str:
+    if not causes and _is_lost(found):
+        return (
+            f"Neither a plain motor nor any effect of the catalogue explains the "
+            f"{_signal(found).removeprefix('motor ')} on blocks that no fit saw (R2 "
+            f"{found.fit_before:.2f} without any effect)."
+        )
     if not causes:
         return (
             f"Nothing pays: inertia, {'back-EMF' if found.voltage else 'torque'} and an offset "

@@ -23,19 +23,21 @@ from servo_bench.diagnosis.elsewhere.equation import (
     base_design,
     covariance,
     design,
-    deviations,
     electric_of,
+    size_of,
     solve,
     usual_torques,
     weights,
 )
-from servo_bench.diagnosis.elsewhere.spectrum import lines, mixed_orders, twins
-from servo_bench.diagnosis.elsewhere.terms import Electric, Term, candidates, columns
+from servo_bench.diagnosis.elsewhere.spectrum import lines, mixed_orders, no_twins, twins
+from servo_bench.diagnosis.elsewhere.terms import Electric, Term, candidates, columns, reads_effort
 from servo_bench.diagnosis.elsewhere.weak import WeakRows
 from servo_bench.diagnosis.fitting.foreign_channels import Array
 from sim_rig.effects.effect import Port
 
 HUBER = 3.0
+FAR_BEYOND = 5.0
+"""Of the largest effort: a larger torque was never seen, but extrapolated from a small angle."""
 EXCHANGES = 3
 """Rounds in which one effect may give way to another."""
 LARGEST_OFF = 2.0
@@ -74,7 +76,7 @@ def select(
     """Forward and backward selection on these rows."""
     folds = folds_of(rows)
     now = base_design(rows, voltage=voltage, inverse=inverse)
-    plain = tuple(candidates(rows, voltage=voltage, without=without, only=only))
+    plain = tuple(candidates(rows, voltage=voltage, inverse=inverse, without=without, only=only))
     steps: list[Step] = []
     refused: Step | None = None
     made: dict[str, Array] = {}
@@ -84,7 +86,8 @@ def select(
         if len(now.terms) == gate.MOST_TERMS:
             break
         errors = (now.target - now.matrix @ coefficients) * weight**2
-        tried = [*plain, *lines(rows, errors, electric, now.terms, without=without, only=only)]
+        lined = lines(rows, errors, electric, now.terms, without=without, only=only)
+        tried = [*plain, *(t for t in lined if not (inverse and reads_effort(t.effect)))]
         if voltage:
             made.clear()  # the electric torque has changed
         best = _best(now, tried, weight, folds, partial(_made, made, rows, electric))
@@ -95,8 +98,8 @@ def select(
         now = best[1]
     now, steps = _backward(now, steps, folds)
     for _ in range(EXCHANGES):
-        lined = partial(twins, without=without, only=only)
-        exchanged = _exchanged(now, steps, (plain, lined), folds, partial(_made, made, rows))
+        alike = partial(twins, without=without, only=only) if not inverse else no_twins
+        exchanged = _exchanged(now, steps, (plain, alike), folds, partial(_made, made, rows))
         if exchanged is None:
             break
         now, steps = _backward(*exchanged, folds)
@@ -249,14 +252,24 @@ def _is_small(now: Design, added: Array, weight: Array) -> bool:
     return float(np.std(made)) < gate.MATERIAL * float(np.std(effort))
 
 
+def _is_sure(size: float, error: float) -> bool:
+    return abs(size) > gate.SURE * error
+
+
 def _has_meaning(now: Design, number: int, coefficients: Array) -> bool:
-    """Whether a term's size has the sign that it must have, and the one that was assumed; and
-    whether a line is more than what others make of the current."""
+    """Whether a term's size has the sign that it must have, the one that was assumed, and is no
+    torque far beyond the effort; and whether a line is more than what others make of the
+    current."""
     term = now.terms[number]
+    sizes = now.in_effort(coefficients)[now.owned(number)]
+    if term.strength.endswith("torque_nm") and term.size is None:
+        largest = max(float(np.abs(s.effort).max()) for s in now.rows.stretches)
+        if float(np.hypot.reduce(sizes)) > FAR_BEYOND * largest:
+            return False
     if term.phase is not None:
         ripples = term.effect.port is Port.ELECTRIC_TORQUE
         return not (ripples and term.order in mixed_orders(now.terms))
-    size = float(now.in_effort(coefficients)[now.owned(number)][0])
+    size = float(sizes[0])
     if term.size is not None:
         return 1.0 / LARGEST_OFF < size < LARGEST_OFF
     return (size > 0.0 or term.signed) and abs(size) <= term.most
@@ -280,7 +293,7 @@ def _backward(
             k
             for k, step in enumerate(finals)
             if not passes(step)
-            or deviations(now, k, coefficients, spread) < gate.SURE
+            or not _is_sure(*size_of(now, k, coefficients, spread))
             or not _has_meaning(now, k, coefficients)
         ]
         if not failed:

@@ -95,6 +95,11 @@ def twins(term: Term, without: Collection[str], only: Collection[str]) -> list[T
     return [t for e in asked if (t := _line(e, e.strengths[0], term.order))]
 
 
+def no_twins(_: Term) -> list[Term]:
+    """Where the effort is explained: a ripple of it would explain it by itself."""
+    return []
+
+
 def mixed_orders(there: Sequence[Term]) -> frozenset[float]:
     """Orders at which a ripple of the torque stands in for lines that need no current.
 

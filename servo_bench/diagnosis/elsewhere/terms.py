@@ -154,9 +154,15 @@ def _law(effect: Effect, signals: Signals, params: Any, step_s: float) -> Any:
 
 
 def candidates(
-    rows: WeakRows, *, voltage: bool, without: Collection[str], only: Collection[str]
+    rows: WeakRows,
+    *,
+    voltage: bool,
+    inverse: bool = False,
+    without: Collection[str],
+    only: Collection[str],
 ) -> Iterator[Term]:
-    """Every effect between effort and motion, at every shape that is tried; orders left out."""
+    """Every effect between effort and motion, at every shape that is tried; orders left out. Where
+    the effort is explained (`inverse`), what is a part of it would explain it by itself."""
     speed = float(np.sqrt(np.mean(np.concatenate([s.velocity_rad_s for s in rows.stretches]) ** 2)))
     positioned = all(np.isfinite(s.angle_rad).all() for s in rows.stretches)
     for effect in catalogue().values():
@@ -166,12 +172,22 @@ def candidates(
             continue
         if order_of(effect, effect.strengths[0]) is not None:
             continue
+        if inverse and reads_effort(effect):
+            continue
         if voltage and "current_a" in effect.law.__code__.co_names:
             continue  # nobody measured it
         if not positioned and _reads_position(effect):
             continue
         for shape in _shapes(effect, speed):
             yield from _sized(effect, shape)
+
+
+def reads_effort(effect: Effect) -> bool:
+    """Whether its law is one of the current or of a torque that it makes."""
+    return effect.port is Port.ELECTRIC_TORQUE or bool(
+        {"current_a", "electric_torque_nm", "motor_torque_nm", "contact_torque_nm"}
+        & set(effect.law.__code__.co_names)
+    )
 
 
 def _reads_position(effect: Effect) -> bool:
@@ -196,7 +212,8 @@ def _grid(parameter: Parameter, speed_rad_s: float) -> tuple[float, ...]:
     if parameter.name.endswith("count"):
         return (1.0,)
     if parameter.name.startswith("transition"):
-        widths = np.clip(np.array(SLOWEST_SHARES) * speed_rad_s, low, high)
+        usual = np.array(SLOWEST_SHARES) * speed_rad_s
+        widths = np.clip(usual, min(low, float(usual[-1])), high)  # some axes are slow
         return tuple(float(width) for width in np.unique(widths))
     if not (math.isfinite(low) and math.isfinite(high)):
         return (parameter.default,)

@@ -96,11 +96,13 @@ def test_play_of_a_locked_gear(name: str, play_deg: float) -> None:
     assert verdict.error.after < 0.4 * verdict.error.before
 
 
-def spun(current: NDArray[np.float64], friction_a: float, seed: int) -> Recording:
+def spun(
+    current: NDArray[np.float64], friction_a: float, seed: int, viscous_a_s: float = 0.004
+) -> Recording:
     """A motor of 500 rad/s2 a ampere at 1 kHz, its dry friction exact, its sensors noisy."""
     speed, angle, speeds, angles = 0.0, 0.0, [], []
     for value in current:
-        drive = value - np.sign(speed) * friction_a - 0.004 * speed
+        drive = value - np.sign(speed) * friction_a - viscous_a_s * speed
         speed += 1e-3 * 500.0 * drive
         angle += 1e-3 * speed
         speeds.append(speed)
@@ -129,19 +131,31 @@ def test_friction_of_a_known_motor_is_found_in_amperes_and_absent_where_there_is
     assert "coulomb" not in diagnose_open([spun(driven(1), 0.0, 2)], only=TARGETED).names
 
 
+def by_its_angle(recording: Recording, seed: int) -> Recording:
+    """Without its velocity, and an angle with the noise of a coarse encoder."""
+    rough = np.random.default_rng(seed).normal(size=len(recording))
+    angle = recording["motor_position_rad"] + 3e-3 * rough
+    channels = {n: v for n, v in recording.channels.items() if n != "motor_velocity_rad_s"}
+    return replace(recording, channels={**channels, "motor_position_rad": angle})
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_motor_that_turns_evenly_where_it_is_judged_tells_nothing(seed: int) -> None:
     """Else what it is named for is its noise."""
-    current = np.concatenate((driven(seed)[:10_000], np.full(5_000, 0.4)))
-    recording = spun(current, 0.0, seed)
-    rough = np.random.default_rng(seed).normal(size=current.size)
-    angle = recording["motor_position_rad"] + 3e-3 * rough
-    channels = {n: v for n, v in recording.channels.items() if n != "motor_velocity_rad_s"}
-    noisy = replace(recording, channels={**channels, "motor_position_rad": angle})
-    verdict = diagnose_open([noisy])
+    current = np.concatenate((driven(seed)[:10_000], np.zeros(5_000)))
+    verdict = diagnose_open([by_its_angle(spun(current, 0.0, seed, viscous_a_s=0.0), seed)])
     assert (verdict.verdict, verdict.causes) == ("unknown", ())
     assert "does not rise above its noise" in verdict.sentence
     assert verdict.next_run
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_motor_that_turns_evenly_against_a_drag_tells_the_drag(seed: int) -> None:
+    """By the current that holds its speed."""
+    current = np.concatenate((driven(seed)[:10_000], np.full(5_000, 0.4)))
+    (cause,) = diagnose_open([by_its_angle(spun(current, 0.0, seed), seed)]).causes
+    assert cause.effect == "viscous"
+    assert cause.parameters["damping_nm_s_per_rad"].value == pytest.approx(0.004, rel=0.05)
 
 
 def test_what_cannot_be_judged_is_said() -> None:

@@ -69,8 +69,10 @@ class MechanicsFinding:
 
     @property
     def quiet(self) -> bool:
-        """Whether what was to be explained hardly changed where no fit saw it."""
-        return 0.0 <= self.moved <= gate.QUIET * self.floor
+        """Whether what was to be explained hardly changed where no fit saw it; an effort may have
+        the size there that friction gives it."""
+        told = bool(self.selected.steps) and self.after < HALF * self.before
+        return self.moved <= gate.QUIET * self.floor and not (self.inverse and told)
 
     @property
     def voltage(self) -> bool:

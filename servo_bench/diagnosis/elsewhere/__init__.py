@@ -4,7 +4,8 @@ gate        the thresholds, all of them
 weak        the equation of motion, integrated over short stretches
 equation    its columns and coefficients, solved for the acceleration or for the effort
 terms       the catalogue's effects as columns of that equation; `spectrum`: those with an order
-selection   which columns pay on blocks that did not choose them
+held        how well it foretells blocks that did not make it
+selection   which columns pay on those blocks
 mechanics, looped, locked, and the verdict of each     the three kinds of data
 """
 

@@ -16,7 +16,8 @@ from servo_bench.diagnosis.elsewhere.equation import (
     usual_torques,
     weights,
 )
-from servo_bench.diagnosis.elsewhere.selection import Selected, folds_of, select
+from servo_bench.diagnosis.elsewhere.held import folds_of
+from servo_bench.diagnosis.elsewhere.selection import Selected, select
 from servo_bench.diagnosis.elsewhere.weak import (
     WeakRows,
     effort_noise,

@@ -179,7 +179,7 @@ def test_what_cannot_be_decided_is_said_and_which_run_would(
     assert verdict.verdict == "unknown"
     assert any(told in sentence for sentence in verdict.undecided)
     assert "design diagnosis" in verdict.next_run
-    assert "nothing can be fitted" in diagnosis_report(verdict, None, recording)
+    assert "nothing can be fitted" in diagnosis_report(verdict, None, None, recording)
 
 
 def test_data_of_another_bench_are_judged_by_a_model_of_five_numbers(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from servo_bench.diagnosis.concluding import conclude
 from servo_bench.recording.plant import ForeignPlant
 from servo_bench.recording.recording import Recording
+from servo_bench.report.diagnosis_page import diagnosis_report
 
 Array = NDArray[np.float64]
 PEAK_NM, RAMP_ROWS = 4.0, 400
@@ -78,3 +79,20 @@ def test_runs_that_are_not_alike_are_not_called_a_spring() -> None:
     assert (verdict.verdict, verdict.causes) == ("unknown", ())
     assert "not alike" in verdict.sentence
     assert verdict.next_run
+
+
+def test_the_picture_shows_the_errors_of_which_the_verdict_tells() -> None:
+    """The page has one, and what it draws has the figures that stand beside it."""
+    torque, run = ramps(5)
+    rng = np.random.default_rng(8)
+    twist = flanks(torque, np.linspace(0.5, 2.5, 40), np.full(40, 5e-4), 1e-3)
+    recording = locked(torque, twist + 1e-4 * rng.normal(size=run.size), run)
+    concluded = conclude([recording])
+    shown, error = concluded.shown, concluded.verdict.error
+    assert shown is not None
+    assert error is not None
+    assert np.sqrt(np.mean((shown.measured - shown.plain) ** 2)) == pytest.approx(error.before)
+    assert np.sqrt(np.mean((shown.measured - shown.extended) ** 2)) == pytest.approx(error.after)
+    assert set(np.unique(np.round(shown.time_s / 1.6))) <= {3.0, 4.0, 5.0}  # the last runs
+    page = diagnosis_report(*concluded, recording)
+    assert all(words in page for words in ("<svg", "extended model", "twist (rad)"))

@@ -44,4 +44,4 @@ def test_a_very_coarse_encoder_is_named_and_the_extended_rig_has_it() -> None:
     assert verdict.effects["quantisation"]["count_rad"] == pytest.approx(quantum_rad, rel=1e-3)
     assert verdict.error is not None
     assert verdict.error.after == pytest.approx(verdict.error.noise_floor, rel=0.2)
-    assert "lies on steps of 0.002094 rad" in diagnosis_report(verdict, concluded.finding, run)
+    assert "lies on steps of 0.002094 rad" in diagnosis_report(*concluded, run)

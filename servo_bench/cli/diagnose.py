@@ -102,7 +102,7 @@ def diagnose(
     if json is not None:
         write_json(json, found.verdict.numbers())
     if report is not None:
-        write_text(report, diagnosis_report(found.verdict, found.finding, loaded[0]))
+        write_text(report, diagnosis_report(*found, loaded[0]))
     if config is not None:
         rig_of = partial(extended_rig, config)
         _write_model(rig_out, found.verdict, lambda verdict: rig_text(rig_of(verdict)))

@@ -65,9 +65,10 @@ def diagnose(path: Path) -> str:
     What is believed of the rig is what the recording itself states.
     """
     recording = load(path, allow_cut=True)
-    verdict, finding = conclude([recording], report=_say)
+    found = conclude([recording], report=_say)
+    verdict = found.verdict
     places = beside(path)
-    replace(places.diagnosis_page, diagnosis_report(verdict, finding, recording).encode())
+    replace(places.diagnosis_page, diagnosis_report(*found, recording).encode())
     replace_json(places.diagnosis, verdict.numbers())  # last: who finds it finds its page
     return f"{verdict.verdict}: {verdict.sentence}"
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from servo_bench.diagnosis.comparing.rows import filtered
 from servo_bench.diagnosis.diagnose import believed, investigate
-from servo_bench.diagnosis.elsewhere import diagnose_open, is_open
+from servo_bench.diagnosis.elsewhere import Shown, is_open, judge_open
 from servo_bench.diagnosis.judging.judgement import verdict_of
 from servo_bench.diagnosis.judging.picture import picture
 from servo_bench.diagnosis.judging.undecided import check_alike, open_questions, undecided
@@ -33,6 +33,8 @@ class Concluded(NamedTuple):
 
     verdict: Verdict
     finding: Finding | None
+    shown: Shown | None = None
+    """Of data from elsewhere: what their picture shows."""
 
 
 def conclude(
@@ -65,8 +67,8 @@ def conclude(
         model = believed(recordings)
     try:
         if model is None:
-            judged = diagnose_open(recordings, held_out=held_out, without=without, only=only)
-            return Concluded(judged, None)
+            judged = judge_open(recordings, held_out=held_out, without=without, only=only)
+            return Concluded(judged.verdict, None, judged.shown)
         finding = investigate(
             recordings, model=model, held_out=held_out, without=without, only=only, report=report
         )

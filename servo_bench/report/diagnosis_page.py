@@ -3,11 +3,13 @@
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+from servo_bench.diagnosis.elsewhere import Shown
 from servo_bench.diagnosis.judging.picture import track_of
 from servo_bench.diagnosis.judging.verdict import Cause, Verdict
 from servo_bench.diagnosis.searching.finding import Finding
 from servo_bench.diagnosis.searching.rounds import Contender, Round
 from servo_bench.recording.recording import Recording
+from servo_bench.report.diagnosis_elsewhere import draw_shown
 from servo_bench.report.diagnosis_figures import (
     Judged,
     draw_before_after,
@@ -54,8 +56,11 @@ class Gain(NamedTuple):
     factor: str
 
 
-def diagnosis_report(verdict: Verdict, finding: Finding | None, recording: Recording) -> str:
-    """The page, self-contained; without a finding (nothing could be fitted) its words alone."""
+def diagnosis_report(
+    verdict: Verdict, finding: Finding | None, shown: Shown | None, recording: Recording
+) -> str:
+    """The page, self-contained; of data from elsewhere with what they have `shown`, and where
+    nothing could be fitted its words alone."""
     experiment, rig = recording.experiment, recording.rig
     seconds = len(recording) * recording.period_s
     return rendered(
@@ -77,8 +82,25 @@ def diagnosis_report(verdict: Verdict, finding: Finding | None, recording: Recor
             for limit in verdict.limit
         ],
         numbers=numbers(verdict.numbers()),
-        **{**EMPTY, **(_found(verdict, finding) if finding is not None else {})},
+        **{**EMPTY, **(_found(verdict, finding) if finding is not None else _elsewhere(shown))},
     )
+
+
+def _elsewhere(shown: Shown | None) -> dict[str, Any]:
+    """What data from elsewhere can show."""
+    if shown is None:
+        return {}
+    plate = Plate(
+        drawn(
+            "before-after",
+            2.9,
+            lambda figure: draw_shown(figure, shown),
+            "Measured signal, plain and extended model, and their errors",
+        ),
+        "Before and after",
+        "Rows that no fit saw: what was measured, the plain model, and its best extension.",
+    )
+    return {"before_after": [plate]}
 
 
 def _found(verdict: Verdict, finding: Finding) -> dict[str, Any]:

@@ -7,9 +7,11 @@ terms       the catalogue's effects as columns of that equation; `spectrum`: tho
 held        how well it foretells blocks that did not make it
 selection   which columns pay on those blocks
 mechanics, looped, locked, and the verdict of each     the three kinds of data
+shown       what a picture of them needs
 """
 
-from servo_bench.diagnosis.elsewhere.diagnose import diagnose_open
+from servo_bench.diagnosis.elsewhere.diagnose import diagnose_open, judge_open
+from servo_bench.diagnosis.elsewhere.shown import Shown
 from servo_bench.diagnosis.fitting.foreign_channels import is_open
 
-__all__ = ["diagnose_open", "is_open"]
+__all__ = ["Shown", "diagnose_open", "is_open", "judge_open"]

@@ -1,7 +1,8 @@
-"""`diagnose_open`: recordings from elsewhere in, verdict out."""
+"""`diagnose_open`: recordings from elsewhere in, verdict out; `judge_open` with its picture."""
 
 import time
 from collections.abc import Collection, Sequence
+from typing import NamedTuple
 
 from servo_bench.diagnosis.elsewhere.locked import judge_locked
 from servo_bench.diagnosis.elsewhere.locked_verdict import locked_verdict
@@ -9,10 +10,18 @@ from servo_bench.diagnosis.elsewhere.looped import judge_looped
 from servo_bench.diagnosis.elsewhere.looped_verdict import looped_verdict
 from servo_bench.diagnosis.elsewhere.mechanics import judge_mechanics
 from servo_bench.diagnosis.elsewhere.mechanics_verdict import mechanics_verdict
+from servo_bench.diagnosis.elsewhere.shown import Shown
 from servo_bench.diagnosis.fitting.foreign_channels import can_be_looped, kind_of
 from servo_bench.diagnosis.judging.verdict import Verdict
 from servo_bench.errors import ConfigError, FitError
 from servo_bench.recording.recording import Recording
+
+
+class JudgedOpen(NamedTuple):
+    """The verdict, and what its picture shows."""
+
+    verdict: Verdict
+    shown: Shown
 
 
 def diagnose_open(
@@ -22,6 +31,17 @@ def diagnose_open(
     without: Collection[str] = (),
     only: Collection[str] = (),
 ) -> Verdict:
+    """The verdict of `judge_open`."""
+    return judge_open(recordings, held_out=held_out, without=without, only=only).verdict
+
+
+def judge_open(
+    recordings: Sequence[Recording],
+    *,
+    held_out: Recording | None = None,
+    without: Collection[str] = (),
+    only: Collection[str] = (),
+) -> JudgedOpen:
     """What a plain motor (or, with a locked output, a plain spring) gets wrong about these data.
 
     `without` takes effects out of the catalogue, `only` leaves nothing but these. Gains are
@@ -43,22 +63,23 @@ def diagnose_open(
                 f"{len(recordings)} recordings of a locked output: every one is a specimen of its "
                 "own. Give one, with its runs in it."
             )
-        verdict = locked_verdict(
-            judge_locked(recordings[0], held_out), recordings[0], without, only
-        )
+        locked = judge_locked(recordings[0], held_out)
+        verdict = locked_verdict(locked, recordings[0], without, only)
+        shown = locked.shown
     elif all(can_be_looped(one) for one in (*recordings, *((held_out,) if held_out else ()))):
         looped = judge_looped(recordings, held_out, without=without, only=only)
-        verdict = looped_verdict(looped)
+        verdict, shown = looped_verdict(looped), looped.shown
     elif kinds == {"mechanics"}:
         finding = judge_mechanics(recordings, held_out, without=without, only=only)
-        verdict = mechanics_verdict(finding)
+        verdict, shown = mechanics_verdict(finding), finding.shown
     else:
         raise FitError(
             "neither an effort with its motion, nor a position loop of known gain, nor a locked "
             f"output is among {', '.join(sorted(recordings[0].channels))}. Map a current, torque "
             "or voltage, and the motor's position or velocity."
         )
-    return _sober(Verdict(**{**dict(verdict), "seconds": time.perf_counter() - began}))
+    told = _sober(Verdict(**{**dict(verdict), "seconds": time.perf_counter() - began}))
+    return JudgedOpen(told, shown)
 
 
 def _sober(verdict: Verdict) -> Verdict:

@@ -11,12 +11,15 @@ A spring alone is the base. Friction without play is twist = c p. Source of the 
 Visintin, Differential Models of Hysteresis (1994), ch. III.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from servo_bench.diagnosis.elsewhere import gate
+from servo_bench.diagnosis.elsewhere.shown import Shown
 from servo_bench.diagnosis.fitting.foreign_channels import Array, torque_of
 from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording
@@ -64,6 +67,7 @@ class LockedFinding:
     z: float
     over_hysteresis: float
     share: float
+    shown: Shown
 
     @property
     def seen_share(self) -> float:
@@ -73,12 +77,12 @@ class LockedFinding:
 
 def judge_locked(recording: Recording, held_out: Recording | None = None) -> LockedFinding:
     """Spring, spring with friction, spring with play. FitError where torque never reversed."""
-    torque, twist, run = _ramp(recording)
-    unseen = _ramp(held_out) if held_out is not None else (torque, twist, run)
+    torque, twist, run, time_s = _ramp(recording)
+    unseen = _ramp(held_out) if held_out is not None else _Ramp(torque, twist, run, time_s)
     numbers = np.unique(run)
     last = numbers[-max(1, numbers.size // 3) :] if numbers.size > 1 else numbers
     seen = np.ones(run.size, bool) if held_out is not None else ~np.isin(run, last)
-    judged = np.ones(unseen[2].size, bool) if held_out is not None else np.isin(run, last)
+    judged = np.ones(unseen.run.size, bool) if held_out is not None else np.isin(run, last)
     if not seen.any():
         seen = judged = np.ones(run.size, bool)
     grid = _grid(torque)
@@ -87,7 +91,8 @@ def judge_locked(recording: Recording, held_out: Recording | None = None) -> Loc
         "hysteresis": _fit(torque, twist, seen, grid, ("dragged",)),
         "play": _fit(torque, twist, seen, grid, ("torque", "side")),
     }
-    errors = {name: _errors(fit, name, unseen[0], unseen[1])[judged] for name, fit in fits.items()}
+    left = {name: _errors(fit, name, unseen.torque, unseen.twist) for name, fit in fits.items()}
+    errors = {name: values[judged] for name, values in left.items()}
     squares = {name: _blocks(values**2) for name, values in errors.items()}
     before, after = squares["spring"], squares["play"]
     return LockedFinding(
@@ -96,11 +101,27 @@ def judge_locked(recording: Recording, held_out: Recording | None = None) -> Loc
         z=_z(before - after),
         over_hysteresis=_z(squares["hysteresis"] - after),
         share=float((before.sum() - after.sum()) / max(before.sum(), 1e-300)),
+        shown=_shown(_Ramp(*(values[judged] for values in unseen)), errors),
     )
 
 
-def _ramp(recording: Recording) -> tuple[Array, Array, Array]:
-    """Torque, twist and run of the gentlest runs, thinned alike."""
+def _shown(ramp: "_Ramp", errors: Mapping[str, Array]) -> Shown:
+    models = (ramp.twist - errors["spring"], ramp.twist - errors["play"])
+    told = (ramp.time_s, ramp.torque, ramp.twist, *models)
+    return Shown("twist", "rad", "torque", "N m", *told)
+
+
+class _Ramp(NamedTuple):
+    """Torque, twist, run and time of rows, each of shape (rows,)."""
+
+    torque: Array
+    twist: Array
+    run: Array
+    time_s: Array
+
+
+def _ramp(recording: Recording) -> _Ramp:
+    """The gentlest runs, thinned alike."""
     torque = np.asarray(recording[torque_of(recording)], dtype=np.float64)
     twist = np.asarray(recording["motor_position_rad"], dtype=np.float64)
     run = np.asarray(recording["run"] if "run" in recording else np.zeros(torque.size))
@@ -115,7 +136,8 @@ def _ramp(recording: Recording) -> tuple[Array, Array, Array]:
             "slow ramps to either side, twice at least, with the output locked."
         )
     rows = rows[:: max(1, rows.size // POINTS)]
-    return torque[rows], twist[rows], run[rows]
+    time_s = np.asarray(recording["t_s"], np.float64)
+    return _Ramp(torque[rows], twist[rows], run[rows], time_s[rows])
 
 
 def _grid(torque: Array) -> Array:

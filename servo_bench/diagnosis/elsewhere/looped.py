@@ -23,6 +23,8 @@ import numpy as np
 
 from servo_bench.diagnosis.comparing.comparison import Comparison
 from servo_bench.diagnosis.comparing.evidence import Evidence, block_z
+from servo_bench.diagnosis.comparing.rows import Mask
+from servo_bench.diagnosis.elsewhere.shown import Shown
 from servo_bench.diagnosis.fitting.driven import DrivenComparison, compare_driven, resistance_ohm
 from servo_bench.diagnosis.fitting.foreign_start import starting_model
 from servo_bench.diagnosis.searching.hypotheses import Hypothesis, hypotheses
@@ -69,6 +71,7 @@ class LoopedFinding:
     after: float
     floor: float
     left_out: int
+    shown: Shown
 
 
 def judge_looped(
@@ -107,6 +110,7 @@ def judge_looped(
         after=_angle_rms(judging, final.model, whole=whole),
         floor=float(evidence.floors[_angle(evidence)]),
         left_out=len(recordings) - len(closed),
+        shown=_shown(judging, plain.model, final.model, whole=whole),
     )
 
 
@@ -309,13 +313,29 @@ def _angle(evidence: Evidence) -> int:
     return evidence.names.index("motor angle")
 
 
+def _judged(comparison: Comparison, *, whole: bool) -> Mask:
+    """Where no fit saw it."""
+    return comparison.seen | comparison.held_out if whole else comparison.held_out
+
+
+def _shown(evidence: Evidence, plain: Model, final: Model, *, whole: bool) -> Shown:
+    """The motor's angle in time, of the first recording that judges."""
+    k, comparison = _angle(evidence), evidence.judging[0]
+    errors = [comparison.errors(model)[k] for model in (plain, final)]
+    start = np.concatenate([piece.start for piece in comparison.pieces])
+    where = _judged(comparison, whole=whole) & np.isfinite(errors[0]) & np.isfinite(errors[1])
+    time_s = comparison.source.rows.t_s[start][where]
+    measured = comparison.measured[k][where]
+    models = (measured - error[where] for error in errors)
+    return Shown("motor angle", "rad", "time", "s", time_s, time_s, measured, *models)
+
+
 def _angle_rms(evidence: Evidence, model: Model, *, whole: bool) -> float:
     """Of the motor's angle where no fit saw it."""
     k = _angle(evidence)
     squares, count = 0.0, 0
     for comparison in evidence.judging:
         errors = comparison.errors(model)[k]
-        where = comparison.seen | comparison.held_out if whole else comparison.held_out
-        known = errors[where & np.isfinite(errors)]
+        known = errors[_judged(comparison, whole=whole) & np.isfinite(errors)]
         squares, count = squares + float(known @ known), count + known.size
     return float(np.sqrt(squares / max(count, 1)))

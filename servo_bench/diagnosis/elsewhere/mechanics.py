@@ -8,6 +8,7 @@ import numpy as np
 from servo_bench.diagnosis.elsewhere import gate
 from servo_bench.diagnosis.elsewhere.equation import (
     Design,
+    Mask,
     base_design,
     covariance,
     design,
@@ -18,6 +19,7 @@ from servo_bench.diagnosis.elsewhere.equation import (
 )
 from servo_bench.diagnosis.elsewhere.held import folds_of
 from servo_bench.diagnosis.elsewhere.selection import Selected, select
+from servo_bench.diagnosis.elsewhere.shown import Shown
 from servo_bench.diagnosis.elsewhere.weak import (
     WeakRows,
     effort_noise,
@@ -38,6 +40,11 @@ HALF, NEARLY_ALL = 0.5, 0.1
 """Of the acceleration, that selection explains at least; and of the effort's changes, what usual
 torques leave at most where it goes into what resists (a slow ramp, speeds that are held)."""
 ROUNDING = 1e-9
+SIGNALS = {
+    "current_a": ("current", "A"),
+    "motor_current_a": ("current", "A"),
+    "voltage_v": ("voltage", "V"),
+}
 MOTIONS: tuple[Motion, ...] = ("motor_velocity_rad_s", "motor_position_rad")
 
 
@@ -62,6 +69,7 @@ class MechanicsFinding:
     moved: float
     fit_before: float
     fit_after: float
+    shown: Shown
 
     @property
     def inverse(self) -> bool:
@@ -159,7 +167,25 @@ def _finding(
         moved=moved,
         fit_before=fits[0],
         fit_after=fits[1],
+        shown=_shown(effort, judged, here, left - np.stack(errors)),
     )
+
+
+def _shown(effort: str, judged: Design, here: Mask, models: Array) -> Shown:
+    """The acceleration in time, or the effort over the speed that it holds; `models` are the plain
+    one and that with its causes, shape (2, rows)."""
+    rows, plain, extended = judged.rows, *models
+    time_s, speed = rows.column(lambda s: s.time_s)[here], rows.velocity_rad_s[here]
+    told = (judged.target[here], plain, extended)
+    if judged.inverse:
+        about = signal_of(effort)
+        return Shown(*about, "motor velocity", "rad/s", time_s, speed, *told)
+    return Shown("motor acceleration", "rad/s2", "time", "s", time_s, time_s, *told)
+
+
+def signal_of(effort: str) -> tuple[str, str]:
+    """An effort's name and unit."""
+    return SIGNALS.get(effort, ("torque", "N m"))
 
 
 def _rows(

@@ -6,7 +6,7 @@ import numpy as np
 
 from servo_bench.diagnosis.elsewhere import gate
 from servo_bench.diagnosis.elsewhere.equation import error_of, size_of
-from servo_bench.diagnosis.elsewhere.mechanics import MechanicsFinding
+from servo_bench.diagnosis.elsewhere.mechanics import MechanicsFinding, signal_of
 from servo_bench.diagnosis.elsewhere.selection import Step
 from servo_bench.diagnosis.fitting.free import unit_of
 from servo_bench.diagnosis.judging.verdict import Cause, ErrorFigures, Quantity, Verdict
@@ -14,8 +14,6 @@ from servo_bench.diagnosis.searching.classes import class_of, splitting
 
 EXPLAINED = 0.5
 """Of what no fit saw, that a plain motor explains at least where nothing pays beside it."""
-SIGNALS = {"current_a": "current", "motor_current_a": "current", "voltage_v": "voltage"}
-UNITS = {"current_a": "A", "motor_current_a": "A", "voltage_v": "V"}
 
 
 def mechanics_verdict(found: MechanicsFinding) -> Verdict:
@@ -30,7 +28,7 @@ def mechanics_verdict(found: MechanicsFinding) -> Verdict:
         noise_floor=found.floor,
         share_explained=0.0 if quiet else float(np.clip(share, 0.0, 1.0)),
         signal=_signal(found),
-        unit=UNITS.get(found.effort, "N m") if found.inverse else "rad/s2",
+        unit=signal_of(found.effort)[1] if found.inverse else "rad/s2",
     )
     split = next((c.splitting_experiment for c in causes if c.splitting_experiment), "")
     return Verdict(
@@ -112,9 +110,8 @@ def _sizes(found: MechanicsFinding, number: int, step: Step) -> dict[str, Quanti
 
 def _quantity(found: MechanicsFinding, name: str, value: float, error: float) -> Quantity:
     unit = unit_of(name)
-    effort = UNITS.get(found.effort)
-    if effort is not None and unit.startswith("N m"):
-        unit = effort + unit.removeprefix("N m")
+    if unit.startswith("N m"):
+        unit = signal_of(found.effort)[1] + unit.removeprefix("N m")
     return Quantity(
         value=value,
         unit=unit,
@@ -144,10 +141,11 @@ def _notes(found: MechanicsFinding) -> Iterator[str]:
             "The effort went into what resists the motor, and little of it into speed: the effort "
             "was explained by the motion, and the inertia is known by what little it accelerated."
         )
-    if found.effort in UNITS:
+    unit = signal_of(found.effort)[1]
+    if unit != "N m":
         yield (
-            f"Torques are in units of the effort, {UNITS[found.effort]}: neither K_T nor J was "
-            "needed, and only their ratio shows."
+            f"Torques are in units of the effort, {unit}: neither K_T nor J was needed, and only "
+            "their ratio shows."
         )
     if found.lag_s:
         yield f"The velocity channel comes {found.lag_s * 1e3:.2g} ms after the position's slope."
@@ -164,7 +162,9 @@ def _undecided(found: MechanicsFinding, *, quiet: bool) -> tuple[str, ...]:
     if quiet:
         return ("Whatever needs an acceleration to show.",)
     if found.inverse:
-        return ("What goes with the effort itself: K_T, its ripple, friction under load.",)
+        return (
+            "Whatever goes with the effort itself is not told: K_T, its ripple, friction under load.",
+        )
     return ()
 
 
@@ -193,7 +193,7 @@ def _is_lost(found: MechanicsFinding) -> bool:
 
 def _signal(found: MechanicsFinding) -> str:
     """What the errors are of."""
-    return SIGNALS.get(found.effort, "torque") if found.inverse else "motor acceleration"
+    return signal_of(found.effort)[0] if found.inverse else "motor acceleration"
 
 
 def _of_the_noise(found: MechanicsFinding) -> str:

@@ -162,9 +162,7 @@ def _undecided(found: MechanicsFinding, *, quiet: bool) -> tuple[str, ...]:
     if quiet:
         return ("Whatever needs an acceleration to show.",)
     if found.inverse:
-        return (
-            "Whatever goes with the effort itself is not told: K_T, its ripple, friction under load.",
-        )
+        return ("Whatever goes with the effort itself: K_T, its ripple, friction under load.",)
     return ()
 
 

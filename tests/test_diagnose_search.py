@@ -9,6 +9,7 @@ from servo_bench.diagnosis.comparing.evidence import ASKED, Errors, Evidence, ev
 from servo_bench.diagnosis.judging import judgement
 from servo_bench.diagnosis.judging.intervals import quantities, standard_errors
 from servo_bench.diagnosis.judging.judgement import verdict_of
+from servo_bench.diagnosis.searching.contenders import Contender
 from servo_bench.diagnosis.searching.finding import find_causes, nothing_told
 from servo_bench.diagnosis.searching.gate import (
     is_material,
@@ -19,7 +20,7 @@ from servo_bench.diagnosis.searching.gate import (
 )
 from servo_bench.diagnosis.searching.hypotheses import Trial, hypotheses
 from servo_bench.diagnosis.searching.joint import is_needed, without_effect
-from servo_bench.diagnosis.searching.rounds import Contender, gone_on, merged, play_round
+from servo_bench.diagnosis.searching.rounds import gone_on, merged, play_round
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, roam, seek, settle
 from servo_bench.diagnosis.searching.unknowns import Unknown, nuisances, widened

@@ -18,8 +18,8 @@ from servo_bench.diagnosis.comparing.locking import (
 from servo_bench.diagnosis.comparing.rounding import floor_of
 from servo_bench.diagnosis.comparing.rows import Array, Mask
 from servo_bench.diagnosis.judging.picture import Track
+from servo_bench.diagnosis.searching.contenders import Contender, Round
 from servo_bench.diagnosis.searching.finding import Finding
-from servo_bench.diagnosis.searching.rounds import Contender, Round
 from servo_bench.report.style import ACTUAL, BAND, MUTED, ORDER_1, ORDER_3, caption_axes
 
 STRETCH_S = 0.6

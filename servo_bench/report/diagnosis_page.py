@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 from servo_bench.diagnosis.elsewhere import Shown
 from servo_bench.diagnosis.judging.picture import track_of
 from servo_bench.diagnosis.judging.verdict import Cause, Verdict
+from servo_bench.diagnosis.searching.contenders import Contender, Round
 from servo_bench.diagnosis.searching.finding import Finding
-from servo_bench.diagnosis.searching.rounds import Contender, Round
 from servo_bench.recording.recording import Recording
 from servo_bench.report.diagnosis_elsewhere import draw_shown
 from servo_bench.report.diagnosis_figures import (

@@ -27,9 +27,10 @@ from servo_bench.diagnosis.comparing.rows import Mask
 from servo_bench.diagnosis.elsewhere.shown import Shown
 from servo_bench.diagnosis.fitting.driven import DrivenComparison, compare_driven, resistance_ohm
 from servo_bench.diagnosis.fitting.foreign_start import starting_model
+from servo_bench.diagnosis.searching.contenders import Round
 from servo_bench.diagnosis.searching.hypotheses import Hypothesis, hypotheses
 from servo_bench.diagnosis.searching.joint import Named, own_unknowns, without_effect
-from servo_bench.diagnosis.searching.rounds import Round, play_round
+from servo_bench.diagnosis.searching.rounds import play_round
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek, settle
 from servo_bench.diagnosis.searching.unknowns import Unknown

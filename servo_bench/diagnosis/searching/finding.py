@@ -41,6 +41,7 @@ from servo_bench.diagnosis.reading.subdivision import load_lines
 from servo_bench.diagnosis.searching.bounces import bounces
 from servo_bench.diagnosis.searching.classes import class_of
 from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting, with_coasting
+from servo_bench.diagnosis.searching.contenders import REFINES, Contender, Round
 from servo_bench.diagnosis.searching.gate import (
     MOST_CAUSES,
     RIGHT,
@@ -77,14 +78,7 @@ from servo_bench.diagnosis.searching.readying import (
     turns_of,
     whole_order,
 )
-from servo_bench.diagnosis.searching.rounds import (
-    LEAST_GAIN,
-    REFINES,
-    Contender,
-    Round,
-    Told,
-    play_round,
-)
+from servo_bench.diagnosis.searching.rounds import LEAST_GAIN, Told, play_round
 from servo_bench.diagnosis.searching.runoff import run_off
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek

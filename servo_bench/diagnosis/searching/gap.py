@@ -8,10 +8,10 @@ far better than any gauge: then the gap of the drawing competes with the one tha
 from collections.abc import Sequence
 
 from servo_bench.diagnosis.comparing.evidence import Evidence
+from servo_bench.diagnosis.searching.contenders import faced
 from servo_bench.diagnosis.searching.gate import A_FIFTH, HALF, material_sizes, passes
 from servo_bench.diagnosis.searching.hypotheses import Hypothesis
 from servo_bench.diagnosis.searching.joint import Named, is_worth_it, own_unknowns
-from servo_bench.diagnosis.searching.rounds import faced
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unknowns import widened

@@ -12,8 +12,8 @@ import numpy as np
 
 from servo_bench.diagnosis.comparing.evidence import Errors, Evidence
 from servo_bench.diagnosis.comparing.rows import Array
+from servo_bench.diagnosis.searching.contenders import Contender
 from servo_bench.diagnosis.searching.hypotheses import SPRINGS, VEHICLE
-from servo_bench.diagnosis.searching.rounds import Contender
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.unknowns import MASS, USUAL_RAD_S
 from sim_rig.effects import find_effect

@@ -14,6 +14,7 @@ import numpy as np
 from servo_bench.diagnosis.comparing.evidence import Evidence, block_z
 from servo_bench.diagnosis.searching.bounces import on_other_faces
 from servo_bench.diagnosis.searching.coasting import is_coasting
+from servo_bench.diagnosis.searching.contenders import REFINES, Contender, Round
 from servo_bench.diagnosis.searching.gate import (
     RIGHT,
     is_felt,
@@ -22,7 +23,7 @@ from servo_bench.diagnosis.searching.gate import (
     strength_of,
 )
 from servo_bench.diagnosis.searching.hypotheses import ON_THE_LOAD, SPRINGS, VEHICLE
-from servo_bench.diagnosis.searching.rounds import REFINES, Contender, Round, Told
+from servo_bench.diagnosis.searching.rounds import Told
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek, settle
 from servo_bench.diagnosis.searching.unknowns import Unknown, merged

@@ -16,6 +16,7 @@ import numpy as np
 from servo_bench.diagnosis.comparing.evidence import Evidence
 from servo_bench.diagnosis.searching.classes import class_of
 from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting, with_coasting
+from servo_bench.diagnosis.searching.contenders import REFINES, Contender, Round
 from servo_bench.diagnosis.searching.gap import play_gap
 from servo_bench.diagnosis.searching.gate import (
     FURTHER_GAIN,
@@ -31,7 +32,7 @@ from servo_bench.diagnosis.searching.gate import (
 )
 from servo_bench.diagnosis.searching.hypotheses import Hypothesis
 from servo_bench.diagnosis.searching.joint import Named, fit_jointly, is_worth_it, own_unknowns
-from servo_bench.diagnosis.searching.rounds import REFINES, Contender, Round, Told, play_round
+from servo_bench.diagnosis.searching.rounds import Told, play_round
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unknowns import Unknown

@@ -9,8 +9,8 @@ identification has seen none of them, and there it acts again.
 from dataclasses import replace
 
 from servo_bench.diagnosis.comparing.evidence import Evidence, block_z
+from servo_bench.diagnosis.searching.contenders import Contender, Round
 from servo_bench.diagnosis.searching.gate import HELD_Z, MUCH, passes
-from servo_bench.diagnosis.searching.rounds import Contender, Round
 
 SILENT = 0.02
 """Of the held-out cost: who changes less does not act there. The nuisances that were fitted beside

@@ -9,16 +9,16 @@ at last   every accepted cause is taken away once; one whose absence costs less 
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 
-from servo_bench.diagnosis.comparing.evidence import Errors, Evidence, block_z
+from servo_bench.diagnosis.comparing.evidence import Errors, Evidence
 from servo_bench.diagnosis.comparing.rows import Array
 from servo_bench.diagnosis.searching.approaching import approached
 from servo_bench.diagnosis.searching.classes import siblings_of
+from servo_bench.diagnosis.searching.contenders import REFINES, Round, all_costs, faced
 from servo_bench.diagnosis.searching.hypotheses import SPRINGS, VEHICLE, Hypothesis, Trial
 from servo_bench.diagnosis.searching.screening import Screened, screen
 from servo_bench.diagnosis.searching.seeking import Found, seek, settle
@@ -26,7 +26,6 @@ from servo_bench.diagnosis.searching.stepping import surprise
 from servo_bench.diagnosis.searching.unknowns import merged
 from servo_bench.errors import FitError
 from sim_rig.effects import find_effect
-from sim_rig.effects.effect import Port
 from sim_rig.errors import EffectError, SimRigError
 from sim_rig.model import Model
 
@@ -42,81 +41,12 @@ and a search from a wrong one ends far off."""
 CUTTING = frozenset({"current_limit", "integrator_clamp"})
 NEAR = (0.94, 0.88, 0.82, 0.75)
 """Of a trial's size too, of what cuts off: an eighth less may cut nothing, which has no slope."""
-ALIKE, ONE_KIND_ALIKE, AS_GOOD = 0.95, 0.9, 0.04
-"""Contenders that change the same, and of which none gains so much more, are told apart by how
-much they assume: the one with fewer free numbers and the shorter law is taken. Where one refines
-the other less likeness is enough."""
-RIVAL_Z, LIKE = 3.0, 0.8
-"""What lies less behind, and changes so much the same, is a near rival."""
 Told = Callable[[str], None]
-REFINES = {"pre_sliding": "coulomb", "thermal_friction": "coulomb", "stribeck": "coulomb"}
-"""Friction of its own kind that Coulomb friction does nearly as well."""
-CLEARLY = 4.0
 BESIDE = (1.0, 0.5, 0.25, 0.05)
 """Of a search's strengths, beside the numbers that the base's own search ended with."""
-SHORTEST_BRISTLE_RAD = 2e-5
 SETTLED, HOPEFUL = 2, 0.3
 """Widths that a search skips beside a base that is settled; and of the best one's gain, what one
 must have there to be sought any further."""
-
-
-@dataclass(frozen=True)
-class Contender:
-    """A hypothesis fitted beside the base, and what it gains there.
-
-    `seen_z`, `held_z`: advantage over the base in block scatter; `held_gain`: share of the base's
-    held-out cost that goes; `costs`: all blocks, seen and held out.
-    """
-
-    hypothesis: Hypothesis
-    found: Found
-    held: Errors
-    seen_z: float
-    held_z: float
-    seen_gain: float
-    held_gain: float
-    costs: Array
-
-    @property
-    def effect(self) -> str:
-        """The effect's name."""
-        return self.hypothesis.effect
-
-    @property
-    def total(self) -> float:
-        """The cost of everything."""
-        return float(self.costs.sum())
-
-
-@dataclass(frozen=True)
-class Round:
-    """What one round found: the base, contenders from the best, and all that was screened: nothing
-    where the one contender was free in every fit already (`faced`)."""
-
-    base: Found
-    base_held: Errors
-    base_costs: Array
-    sigma: Array
-    contenders: tuple[Contender, ...]
-    screened: tuple[Screened, ...]
-
-    def likeness(self, one: Contender, other: Contender) -> float:
-        """Cosine between what two contenders change in the base's error."""
-        here = self.base.errors.white(self.sigma)
-        a = one.found.errors.white(self.sigma) - here
-        b = other.found.errors.white(self.sigma) - here
-        size = float(np.linalg.norm(a) * np.linalg.norm(b))
-        return float(a @ b) / size if size > 0.0 else 0.0
-
-    def near(self, one: Contender) -> tuple[Contender, ...]:
-        """Rivals of other effects that change the same, and are not beyond chance worse."""
-        return tuple(
-            c
-            for c in self.contenders
-            if c.effect != one.effect
-            and block_z(one.costs, c.costs) < RIVAL_Z
-            and self.likeness(one, c) > LIKE
-        )
 
 
 def play_round(
@@ -156,7 +86,7 @@ def play_round(
         first = _hopeful(first, base)
     if not first:
         judged = quick.held_out([base.model])[0]
-        costs = _all_costs(base.errors, judged, base.sigma)
+        costs = all_costs(base.errors, judged, base.sigma)
         return Round(base, judged, costs, base.sigma, (), screened)
     best = min(first, key=lambda pair: pair[1].cost)[1]
     sigma = quick.deviation(best.errors)
@@ -172,62 +102,6 @@ def play_round(
     rested = _rested(quick, cold, sigma, without)
     ends = [(gone_on(quick, rested, f, _own(one)), one.hypothesis) for one, f in again]
     return faced(quick, rested, ends, screened, sigma=sigma)
-
-
-def faced(
-    evidence: Evidence,
-    base: Found,
-    found: Sequence[tuple[Found, Hypothesis]],
-    screened: tuple[Screened, ...] = (),
-    *,
-    sigma: Array | None = None,
-) -> Round:
-    """A round of contenders that have been sought already, the best one first; weighed by what that
-    leaves where no `sigma` is given."""
-    if sigma is None:
-        sigma = evidence.deviation(min((f for f, _ in found), key=lambda f: f.cost).errors)
-    held = evidence.held_out([base.model, *(f.model for f, _ in found)])
-    beside = _Beside(base, held[0], sigma)
-    contenders = [
-        _contender(hypothesis, f, h, beside)
-        for (f, hypothesis), h in zip(found, held[1:], strict=True)
-    ]
-    contenders.sort(key=lambda c: c.total)
-    base_costs = _all_costs(base.errors, held[0], sigma)
-    played = Round(base, held[0], base_costs, sigma, tuple(contenders), screened)
-    return replace(played, contenders=_simplest_first(played))
-
-
-def _simplest_first(played: Round) -> tuple[Contender, ...]:
-    """The best one, unless a simpler one does the same as well."""
-    best = played.contenders[0]
-    gained = float(played.base_costs.sum()) - best.total
-    alike = [
-        c
-        for c in played.contenders
-        if played.likeness(best, c) > _least_likeness(best, c)
-        and c.total - best.total < AS_GOOD * gained
-        and (block_z(best.costs, c.costs) < CLEARLY or _degenerate(best))
-    ]
-    first = min(alike, key=lambda c: _assumes(c.effect)) if alike else best
-    return (first, *(c for c in played.contenders if c is not first))
-
-
-def _least_likeness(best: Contender, plain: Contender) -> float:
-    return ONE_KIND_ALIKE if REFINES.get(best.effect) == plain.effect else ALIKE
-
-
-def _degenerate(contender: Contender) -> bool:
-    """Whether bristles so short that they only slide: Coulomb friction by another name."""
-    params = contender.found.model.effects[contender.effect]
-    return float(getattr(params, "breakaway_angle_rad", 1.0)) < SHORTEST_BRISTLE_RAD
-
-
-def _assumes(effect: str) -> tuple[int, int, bool]:
-    """Memory, parameters, and a place behind the motor: how much a hypothesis assumes."""
-    found = find_effect(effect)
-    memory = len(found.memory._fields) if found.memory is not None else 0
-    return memory, len(found.parameters), found.port is Port.LOAD_TORQUE
 
 
 def _plain(found: Sequence[Screened]) -> set[str]:
@@ -394,29 +268,3 @@ def _not_the_base_s(base: Found, one: Screened) -> set[str]:
 def _own(one: Screened) -> set[str]:
     """The effect and what carries it."""
     return {one.hypothesis.effect, *one.trial.beside}
-
-
-class _Beside(NamedTuple):
-    """What contenders are compared with."""
-
-    base: Found
-    held: Errors
-    sigma: Array
-
-
-def _contender(hypothesis: Hypothesis, found: Found, held: Errors, beside: _Beside) -> Contender:
-    base, sigma = beside.base, beside.sigma
-    return Contender(
-        hypothesis=hypothesis,
-        found=found,
-        held=held,
-        seen_z=block_z(found.errors.costs(sigma), base.errors.costs(sigma)),
-        held_z=block_z(held.costs(sigma), beside.held.costs(sigma)),
-        seen_gain=1.0 - found.errors.cost(sigma) / base.errors.cost(sigma),
-        held_gain=1.0 - held.cost(sigma) / beside.held.cost(sigma),
-        costs=_all_costs(found.errors, held, sigma),
-    )
-
-
-def _all_costs(seen: Errors, held: Errors, sigma: Array) -> Array:
-    return np.concatenate([seen.costs(sigma), held.costs(sigma)])

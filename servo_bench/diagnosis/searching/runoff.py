@@ -10,9 +10,10 @@ import numpy as np
 
 from servo_bench.diagnosis.comparing.evidence import Evidence
 from servo_bench.diagnosis.searching.classes import class_of, siblings_of
+from servo_bench.diagnosis.searching.contenders import Contender, faced
 from servo_bench.diagnosis.searching.hypotheses import SPRINGS
 from servo_bench.diagnosis.searching.joint import Named, fit_jointly, own_unknowns
-from servo_bench.diagnosis.searching.rounds import Contender, Told, faced
+from servo_bench.diagnosis.searching.rounds import Told
 from servo_bench.diagnosis.searching.seeking import Found, seek, settle
 from servo_bench.diagnosis.searching.unknowns import Unknown, merged
 from servo_bench.errors import FitError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from servo_bench.diagnosis.comparing.evidence import ASKED, Errors, Evidence, evidence_of
-from servo_bench.diagnosis.judging import judgement
+from servo_bench.diagnosis.judging import causes
 from servo_bench.diagnosis.judging.intervals import quantities, standard_errors
 from servo_bench.diagnosis.judging.judgement import verdict_of
 from servo_bench.diagnosis.searching.contenders import Contender
@@ -260,7 +260,7 @@ def test_what_is_not_sure_has_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = recorded(MODEL.with_effect("coulomb", torque_nm=0.012), 29, slots=SLOTS)
     finding = find_causes([seen], MODEL, only=("coulomb",))
     assert verdict_of(finding).names == ("coulomb",)
-    monkeypatch.setattr(judgement, "confidence", lambda *_: 0.75)
+    monkeypatch.setattr(causes, "confidence", lambda *_: 0.75)
     unsure = verdict_of(finding)
     assert (unsure.verdict, unsure.names) == ("unknown", ())
     assert "coulomb" in unsure.sentence

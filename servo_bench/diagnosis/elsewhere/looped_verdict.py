@@ -6,8 +6,8 @@ import numpy as np
 
 from servo_bench.diagnosis.elsewhere import gate
 from servo_bench.diagnosis.elsewhere.looped import LoopedFinding
+from servo_bench.diagnosis.judging.causes import carried_cause, cause_of
 from servo_bench.diagnosis.judging.intervals import quantities
-from servo_bench.diagnosis.judging.judgement import carried_cause, cause_of
 from servo_bench.diagnosis.judging.verdict import Cause, ErrorFigures, Verdict
 
 

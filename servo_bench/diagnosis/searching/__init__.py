@@ -3,7 +3,7 @@
 unknowns, stepping, seeking     open numbers with their bands, and searches among them
 scales                          how large things are on this rig under this excitation
 hypotheses, screening           what can be tried on this rig, and how much of it promises what
-approaching, rounds             where a steep search starts; one round of fits that compete
+approaching, rounds, contenders where a steep search starts; one round of fits, and who is first
 classes, gate                   what nobody can tell apart; when a cause is beyond chance and large
                                 enough for a name
 readying, finding               what is known before the first round; all stages in order

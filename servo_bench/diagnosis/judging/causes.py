@@ -1,0 +1,125 @@
+"""The causes of a finding as a verdict tells them: sizes, confidence, rivals.
+
+What a round has found, what it was tried on, and what stands in the data themselves (commands that
+were lost, an encoder's lattice, what was read off). Confidence was calibrated on trials of another
+plant.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from servo_bench.diagnosis.comparing.evidence import block_z
+from servo_bench.diagnosis.judging.intervals import names_of, quantities, standard_errors
+from servo_bench.diagnosis.judging.verdict import Cause, Quantity
+from servo_bench.diagnosis.searching.classes import class_of, splitting
+from servo_bench.diagnosis.searching.finding import Finding
+from servo_bench.diagnosis.searching.gate import HELD_Z, MOST_OF_IT
+from servo_bench.diagnosis.searching.joint import Named
+from sim_rig.effects import find_effect
+
+SURE = 6.0
+"""A strength of fewer standard errors is no cause, because a sandwich of few blocks is too sure;
+unless what it gains, seen and held out, stands that far beyond chance, or is most of all."""
+FEWEST_LOST = 1
+
+
+def causes_of(finding: Finding) -> Iterator[Cause]:
+    numbers = quantities(finding.final, finding.scales)
+    known = dict(zip(names_of(finding.final), standard_errors(finding.final), strict=True))
+    for one in finding.named:
+        name = f"{one.effect}.{find_effect(one.effect).strengths[0]}"
+        if _is_sure(one) or name not in known or abs(numbers[name].value) > SURE * known[name]:
+            yield cause_of(one, numbers)
+    if len(finding.lost.rows) >= FEWEST_LOST:
+        low, high = finding.lost.interval
+        yield Cause(
+            effect="missed_samples",
+            parameters={
+                "miss_probability": Quantity(
+                    value=finding.lost.probability,
+                    unit="1",
+                    ci95=(low, high),
+                    standard_error=(high - low) / 3.92,
+                )
+            },
+            confidence=0.97,
+        )
+    if finding.lattice is not None:
+        step, error = finding.lattice.quantum_rad, finding.lattice.standard_error_rad
+        yield _seen_in_the_data("quantisation", count_rad=_quantity(step, error))
+    for read in finding.readings:
+        told = {n: _quantity(read.settings[n], error) for n, error in read.errors.items()}
+        yield _seen_in_the_data(read.effect, **told)
+
+
+def _quantity(value_rad: float, error_rad: float) -> Quantity:
+    ci95 = (value_rad - 1.96 * error_rad, value_rad + 1.96 * error_rad)
+    return Quantity(value=value_rad, unit="rad", ci95=ci95, standard_error=error_rad)
+
+
+def _seen_in_the_data(effect: str, **parameters: Quantity) -> Cause:
+    """A cause that needs no simulation to be seen."""
+    return Cause(effect=effect, parameters=parameters, confidence=0.97)
+
+
+def _is_sure(one: Named) -> bool:
+    """Whether its own round leaves no doubt; what carried another had none."""
+    found = one.contender
+    most = min(found.seen_gain, found.held_gain) > MOST_OF_IT
+    return one.missed_z is None and (min(found.seen_z, found.held_z) > SURE or most)
+
+
+def carried_cause(effect: str, missed_z: float, numbers: dict[str, Quantity]) -> Cause:
+    """A cause that had no round of its own: the joint fit misses it by so much."""
+    return Cause(
+        effect=effect,
+        parameters=_of_effect(effect, numbers),
+        confidence=confidence(missed_z, None, 0.0),
+        evidence=missed_z,
+    )
+
+
+def cause_of(one: Named, numbers: dict[str, Quantity]) -> Cause:
+    """A cause as a verdict tells it, beside its best rival: who is beyond chance worse than nothing
+    on what was held out is none, however well it may fit."""
+    if one.missed_z is not None:
+        return carried_cause(one.effect, one.missed_z, numbers)
+    contenders = one.round.contenders
+    rivals = [c for c in contenders if c is not one.contender and c.effect != one.effect]
+    members = class_of(one.effect) - {one.effect}
+    near = {c.effect for c in one.round.near(one.contender)} - {one.effect}
+    others = [c for c in rivals if c.effect not in members and c.held_z > -HELD_Z]
+    rival = min(others, key=lambda c: c.total) if others else None
+    over = block_z(one.contender.costs, rival.costs) if rival is not None else None
+    evidence = block_z(one.contender.costs, one.round.base_costs)
+    ambiguous = tuple(sorted(members | near))
+    return Cause(
+        effect=one.effect,
+        parameters=_of_effect(one.effect, numbers),
+        confidence=confidence(evidence, over, _foretold(one)),
+        ambiguous_with=ambiguous,
+        splitting_experiment=splitting({one.effect, *ambiguous}) if ambiguous else "",
+        evidence=evidence,
+        rival=rival.effect if rival is not None else None,
+        over_rival=over,
+    )
+
+
+def _of_effect(effect: str, numbers: dict[str, Quantity]) -> dict[str, Quantity]:
+    prefix = f"{effect}."
+    return {n.removeprefix(prefix): q for n, q in numbers.items() if n.startswith(prefix)}
+
+
+def _foretold(one: Named) -> float:
+    """The share of the cost that the screening said the cause would take."""
+    screened = one.contender.effect
+    return max((s.gain for s in one.round.screened if s.hypothesis.effect == screened), default=0.0)
+
+
+def confidence(evidence: float, over_rival: float | None, screened_gain: float) -> float:
+    """Probability that the class is right, from how far it leads and how much there was to find."""
+    lead = 12.0 if over_rival is None else min(max(over_rival, 0.0), 12.0)
+    foretold = min(max(screened_gain, 0.0), 0.5)
+    score = 0.3 + 0.12 * lead + 0.06 * min(evidence, 20.0) + 2.0 * foretold
+    return float(1.0 / (1.0 + np.exp(-score)))

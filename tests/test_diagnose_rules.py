@@ -8,16 +8,18 @@ import pytest
 
 from servo_bench.diagnosis.judging.judgement import _explained, _has_a_name
 from servo_bench.diagnosis.judging.verdict import Cause
+from servo_bench.diagnosis.searching.accepting import with_a_name
 from servo_bench.diagnosis.searching.gate import passes
 from servo_bench.diagnosis.searching.joint import is_worth_it
 from servo_bench.diagnosis.searching.late import held_back
 from servo_bench.diagnosis.searching.reading_off import is_windup
-from servo_bench.diagnosis.searching.scales import scales_of
+from servo_bench.diagnosis.searching.scales import Scales, scales_of
 from servo_bench.diagnosis.searching.unknowns import nuisances
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, commands
 
 MODEL = Model(NOMINAL)
+SCALES = Scales(0.05, 3.0, 0.7, (1.5, 1.2, 1.0), (1.0, 0.8, 0.5), 6.0, 5.0, 0.02, 2e-4)
 
 
 def contender(seen: tuple[float, float], held: tuple[float, float]) -> Any:
@@ -39,6 +41,34 @@ def test_who_takes_more_is_not_asked_for_more(
     seen: tuple[float, float], held: tuple[float, float], able: bool
 ) -> None:
     assert passes(contender(seen, held)) is able
+
+
+def spring_or_drag(spring_seen: float) -> tuple[Any, Any, Any]:
+    """A round that a coupling won before a damping, both beyond chance."""
+    model = MODEL.with_effect("viscous", damping_nm_s_per_rad=1e-3)
+    found: Any = SimpleNamespace(model=model, unknowns=())
+    spring, drag = (
+        SimpleNamespace(
+            effect=effect, found=found, seen_gain=seen, seen_z=15.0, held_gain=held, held_z=14.0
+        )
+        for effect, seen, held in (
+            ("coupling_compliance", spring_seen, 0.19),
+            ("viscous", 0.05, 0.08),
+        )
+    )
+    return spring, drag, SimpleNamespace(contenders=(spring, drag))
+
+
+def test_a_coupling_that_takes_little_gives_way_to_what_has_a_name() -> None:
+    """Three free numbers of a spring fit a part of whatever is wrong."""
+    spring, drag, played = spring_or_drag(0.05)
+    assert with_a_name(spring, played, SCALES, 0, right=False) is drag
+    assert with_a_name(drag, played, SCALES, 0, right=False) is drag
+    spring, drag, played = spring_or_drag(0.4)
+    assert with_a_name(spring, played, SCALES, 0, right=False) is spring
+    alone: Any = SimpleNamespace(contenders=(spring_or_drag(0.05)[0],))
+    assert with_a_name(alone.contenders[0], alone, SCALES, 0, right=False) is alone.contenders[0]
+    assert with_a_name(None, played, SCALES, 0, right=False) is None
 
 
 @pytest.mark.parametrize(("z", "able"), [(5.2, False), (7.4, True)])

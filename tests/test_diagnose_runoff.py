@@ -8,10 +8,11 @@ from matplotlib.figure import Figure
 
 from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.searching import rounds
+from servo_bench.diagnosis.searching.accepting import accepted_of
 from servo_bench.diagnosis.searching.bounces import on_other_faces
 from servo_bench.diagnosis.searching.coasting import coasting
 from servo_bench.diagnosis.searching.contenders import Contender, Round, faced
-from servo_bench.diagnosis.searching.finding import accepted_of, find_causes, nothing_told
+from servo_bench.diagnosis.searching.finding import find_causes, nothing_told
 from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Trial, hypotheses
 from servo_bench.diagnosis.searching.joint import Named, fit_jointly, is_worth_it, own_unknowns
 from servo_bench.diagnosis.searching.late import hidden_by_coasting, unsure

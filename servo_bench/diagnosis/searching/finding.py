@@ -38,27 +38,23 @@ from servo_bench.diagnosis.reading.hygiene import Lattice, LostCommands, lattice
 from servo_bench.diagnosis.reading.orders import USUAL, OrderLine, Tone, tone
 from servo_bench.diagnosis.reading.reading import Reading
 from servo_bench.diagnosis.reading.subdivision import load_lines
+from servo_bench.diagnosis.searching.accepting import rounds_of
 from servo_bench.diagnosis.searching.bounces import bounces
-from servo_bench.diagnosis.searching.classes import class_of
 from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting, with_coasting
-from servo_bench.diagnosis.searching.contenders import REFINES, Contender, Round
+from servo_bench.diagnosis.searching.contenders import Round
 from servo_bench.diagnosis.searching.gate import (
-    MOST_CAUSES,
-    RIGHT,
-    RIGHT_ALREADY,
     is_noted,
     material_sizes,
     misfit,
-    passes,
-    passes_slowly,
 )
-from servo_bench.diagnosis.searching.hypotheses import ON_THE_LOAD, Hypothesis, hypotheses
+from servo_bench.diagnosis.searching.hypotheses import (
+    hypotheses,
+)
 from servo_bench.diagnosis.searching.joint import (
     Named,
     fit_jointly,
     is_worth_it,
     needed_vehicle,
-    own_unknowns,
     worth_a_name,
 )
 from servo_bench.diagnosis.searching.late import (
@@ -69,7 +65,6 @@ from servo_bench.diagnosis.searching.late import (
     unsure,
 )
 from servo_bench.diagnosis.searching.lighter import on_a_light_load
-from servo_bench.diagnosis.searching.rarely import acts_again
 from servo_bench.diagnosis.searching.reading_off import READ_OFF, with_readings
 from servo_bench.diagnosis.searching.readying import (
     filled_again,
@@ -78,20 +73,13 @@ from servo_bench.diagnosis.searching.readying import (
     turns_of,
     whole_order,
 )
-from servo_bench.diagnosis.searching.rounds import LEAST_GAIN, Told, play_round
+from servo_bench.diagnosis.searching.rounds import Told
 from servo_bench.diagnosis.searching.runoff import run_off
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
-
-MOST_ROUNDS = 5
-TURNS = 3
-"""After a round in which nothing held what it promised, what promised less has so many more, while
-the simulation is wrong by more than it may be."""
-FURTHER_PROMISE = 0.008
-"""Screened gain below which a further cause is not even fitted where all is right already."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +154,7 @@ def find_causes(
         without=tuple(without),
         only=tuple(only),
     )
-    now, named, absorbed, rounds, failed = _rounds(quick, base, candidates, scales, report)
+    now, named, absorbed, rounds, failed = rounds_of(quick, base, candidates, scales, report)
     ready = filled_again(ready, now.model)
     recordings, held_out, lost, told = ready.recordings, ready.held_out, ready.lost, ready.told
     report("joint fit on everything")
@@ -314,71 +302,3 @@ def _wild(came: Recording, whole: Evidence, model: Model, scales: Scales) -> int
     if 1.5 * came.period_s < seen.source.rows.period_s:
         seen = compare(came, model, seen.block, scales=SCALES)
     return wild_samples(seen, model, scales.gap_rad)
-
-
-def accepted_of(played: Round, named: int, *, right: bool) -> Contender | None:
-    """The best that is beyond chance; or the plain cause before it, which it only refines, and
-    which is so on all blocks together."""
-    able = (c for c in played.contenders if passes(c, named=named, right=right))
-    found = next(able, None)
-    plain = next(iter(played.contenders), None)
-    if found is not None and plain is not None and REFINES.get(found.effect) == plain.effect:
-        return plain if passes_slowly(plain) else found
-    return found
-
-
-def _in_round(number: int, report: Told) -> Told:
-    return lambda what: report(f"round {number}: {what}")
-
-
-def _is_lower(one: Found, other: Found) -> bool:
-    """Whether what a load that coasts brought about is better than neither."""
-    return one.errors.cost(one.sigma) < other.errors.cost(one.sigma)
-
-
-def _rounds(
-    quick: Evidence,
-    base: Found,
-    candidates: Sequence[Hypothesis],
-    scales: Scales,
-    report: Told,
-) -> tuple[Found, list[Named], list[str], list[Round], list[Round]]:
-    """Base, causes, what is too small for a name, all rounds, and those after the last cause.
-
-    Beside a cause, a load that coasts in its gap is put into the base of a round: a spring would
-    stand in for it. What gives a load a motion of its own is asked without that, in a round after.
-    """
-    now, named, absorbed, rounds = base, list[Named](), list[str](), list[Round]()
-    failed, turns, beside = list[Round](), list[set[str]](), base
-    open_, sizes = list(candidates), material_sizes(scales)
-    asked = open_
-    for number in range(MOST_ROUNDS):
-        if not asked or len(named) == MOST_CAUSES:
-            break
-        missed = float(misfit(quick, beside.errors).max())
-        right = bool(named) and missed < RIGHT_ALREADY
-        least = FURTHER_PROMISE if right else LEAST_GAIN
-        told = _in_round(number + 1, report)
-        played = play_round(quick, beside, asked, sizes, told, least=least)
-        rounds.append(played)
-        failed.append(played)
-        accepted = accepted_of(played, len(named), right=right) or acts_again(quick, played)
-        if accepted is not None and (beside is now or _is_lower(accepted.found, now)):
-            one = Named(accepted.effect, played, accepted, own_unknowns(accepted, accepted.effect))
-            worth = worth_a_name(one, accepted.found, scales)
-            named += worth
-            absorbed += [] if one in worth else [one.effect]
-            now, turns, failed = accepted.found, [], []
-            beside = with_coasting(quick, now) if named else now
-            # of a class one is enough: two would share among them what nobody can tell apart
-            open_ = [h for h in open_ if h.effect not in class_of(accepted.effect)]
-            out = OTHERWISE if is_coasting(beside.model) else frozenset[str]()
-            asked = [h for h in open_ if h.effect not in out]
-        elif beside is not now:
-            beside, asked = now, [h for h in open_ if h.effect in ON_THE_LOAD]
-        elif missed < RIGHT or not played.contenders or len(turns) == TURNS:
-            break
-        else:
-            turns.append({c.effect for c in played.contenders})
-            asked = [h for h in asked if h.effect not in turns[-1]]
-    return now, named, absorbed, rounds, failed

@@ -73,13 +73,12 @@ def test_a_coupling_that_takes_little_gives_way_to_what_has_a_name() -> None:
 
 @pytest.mark.parametrize(("z", "able"), [(5.2, False), (7.4, True)])
 def test_a_spring_is_surer_than_others_where_all_is_right_already(z: float, able: bool) -> None:
-    spring, torque = (
+    both: list[Any] = [
         SimpleNamespace(effect=effect, seen_gain=0.19, seen_z=z, held_gain=0.15, held_z=z)
         for effect in ("coupling_compliance", "cogging")
-    )
-    assert passes(spring, right=True) is able  # type: ignore[arg-type]
-    assert passes(spring)  # type: ignore[arg-type]
-    assert passes(torque, right=True)  # type: ignore[arg-type]
+    ]
+    assert [passes(one, right=True) for one in both] == [able, True]
+    assert all(passes(one) for one in both)
 
 
 @pytest.mark.parametrize(

@@ -67,7 +67,7 @@ def with_a_name(
 
     Every shaft gives way, and three free numbers of a spring fit a part of whatever is wrong: of a
     rig with a little more damping one took 4.9 % of what was seen and 19 of what was held out, the
-    damping 4.9 and 8. Of three couplings before any load coasts the least took 36 % of both.
+    damping 4.9 and 8. Two couplings that were named before any load coasts took 36 % and more.
     """
     if accepted is None or accepted.effect not in SPRINGS - {VEHICLE}:
         return accepted

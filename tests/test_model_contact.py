@@ -5,14 +5,17 @@ import math
 import numpy as np
 import pytest
 
-from sim_rig.model.contact import meet
+from sim_rig.model.contact import meet, piece_of, sprung, swung
 
 MASSES_PER_KG_M2 = 1.0 / 5e-6 + 1.0 / 2.45e-4
 STIFFNESS_NM_PER_RAD, GAP_RAD = 500.0, 0.0262
 
 
 def played(x: float, v: float, a: float, damping_s: float, h: float) -> tuple[float, float]:
-    return meet(x, v, a, MASSES_PER_KG_M2, STIFFNESS_NM_PER_RAD, damping_s, GAP_RAD, h)
+    spring = sprung(MASSES_PER_KG_M2, STIFFNESS_NM_PER_RAD, damping_s)
+    delta, square, soft = spring
+    piece = piece_of(soft, h)
+    return meet(*(x, v, a, damping_s, *spring, GAP_RAD, h, piece), *swung(delta, square, piece))
 
 
 def states(seed: int, count: int) -> list[tuple[float, float, float, float, float]]:

@@ -11,12 +11,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_rig.model.contact import meet, oscillate, twisted, upward
+from sim_rig.model.contact import meet, oscillate, piece_of, sprung, swung, twisted, upward
 from sim_rig.model.lesser import greater, lesser
 from sim_rig.model.propagator import propagator
 from sim_rig.model.skeleton import FINER, IMPACT_S
 
 Array = NDArray[np.float64]
+
+HELPERS = (
+    *(lesser, greater, propagator, sprung, swung, oscillate, twisted, upward, piece_of),
+    meet,
+)
 
 EFFECTS: dict[str, dict[str, float]] = {
     "coulomb": {"torque_nm": 0.008},
@@ -90,6 +95,8 @@ def eighteen(  # noqa: PLR0912, PLR0915 - one loop, by hand
     per_motor = 1.0 / (s.j * (1.0 + s.j_error) - s.j_load)
     per_load = 1.0 / s.j_load
     per_mass = per_load + per_motor
+    moved = 1.0 / per_mass
+    decay, square, soft = sprung(per_mass, s.stiffness, s.damping_s)
     gap = max(s.gap + s.gap_change, 0.0)
     clamp = s.clamp / s.k_i
     deviation, apart, q, driven, jerk, change, cut_before = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -112,6 +119,7 @@ def eighteen(  # noqa: PLR0912, PLR0915 - one loop, by hand
                 h = 0.0 if part == 0 else length / steps if fine == 0 else length / steps / FINER
                 since = 0.5 * (before + h)
                 per_since = 1.0 / since if since > 0.0 else 0.0
+                per_step = 1.0 / h if h > 0.0 else 0.0
                 count = 1 if part == 0 or before != h else whole if fine == 0 else fine
                 half, lead, cube = 0.5 * h, 0.5 * before + 0.25 * h, h * h * h / 12.0
                 before = h
@@ -121,6 +129,9 @@ def eighteen(  # noqa: PLR0912, PLR0915 - one loop, by hand
                 e11, e12, e21, e22, s11, s12, s21, s22, d11, d12 = propagator(
                     per_a * k_p, per_a * k_i, h
                 )
+                bent, pressed = piece_of(soft, half), piece_of(soft, h)
+                bent_c, bent_s = swung(decay, square, bent)
+                pressed_c, pressed_s = swung(decay, square, pressed)
                 left = exp(-h / s.lag)
                 mean = (1.0 - left) / (h / s.lag) if h > 0.0 else 1.0
                 done = 0
@@ -136,9 +147,10 @@ def eighteen(  # noqa: PLR0912, PLR0915 - one loop, by hand
                     x, v = theta - load, omega - rate
                     if h > 0.0:
                         x_mid, v_mid = meet(
-                            x, v, apart, per_mass, s.stiffness, s.damping_s, gap, half
+                            *(x, v, apart, s.damping_s, decay, square, soft, gap, half),
+                            *(bent, bent_c, bent_s),
                         )
-                        share = per_motor / per_mass
+                        share = per_motor * moved
                         moment = x + (v + 0.5 * apart * half) * half - x_mid
                         angle -= share * moment
                         integral += share * moment
@@ -180,10 +192,13 @@ def eighteen(  # noqa: PLR0912, PLR0915 - one loop, by hand
                     q = velocity - drive + (drive - velocity)
                     change = (change + q) * per_since
                     if h > 0.0:
-                        x_end, v_end = meet(x, v, apart, per_mass, s.stiffness, s.damping_s, gap, h)
-                        impulse = (v + apart * h - v_end) / per_mass
-                        moment = (x + (v + apart * half) * h - x_end) / per_mass
-                        contact, late = impulse / h, moment - impulse * half
+                        x_end, v_end = meet(
+                            *(x, v, apart, s.damping_s, decay, square, soft, gap, h),
+                            *(pressed, pressed_c, pressed_s),
+                        )
+                        impulse = (v + apart * h - v_end) * moved
+                        moment = (x + (v + apart * half) * h - x_end) * moved
+                        contact, late = impulse * per_step, moment - impulse * half
                         pull = deviation - contact * per_motor
                         theta += drive * h + s11 * error + s12 * z + d11 * pull + d12 * q
                         omega = drive + (e11 * error + e12 * z) + (s11 * pull + s12 * q)
@@ -220,7 +235,7 @@ def compiled() -> Callable[..., None]:
 
     options: Any = {"nogil": True, "error_model": "numpy"}
     names: dict[str, Any] = {}
-    for function in (lesser, greater, propagator, oscillate, twisted, upward, meet):
+    for function in HELPERS:
         names[function.__name__] = njit(**options)(_with(function, names))
     run: Callable[..., None] = njit(**options)(_with(eighteen, names))
     return run

@@ -4,9 +4,13 @@
 
 x = theta - theta_l; a relative acceleration without the contact (constant over the step),
 mu = 1/J_m + 1/J_l, k stiffness, d damping time, W gap. Off the faces x is a parabola, on one a
-damped oscillation about its own rest; the step is cut where a face is met or let go. A face that
-is let go while still pressed in follows without force. A gap of zero is a coupling: one face that
-pushes and pulls.
+damped oscillation about its own rest,
+
+    x(t) = rest + c y + s (v + delta y),   c, s = exp(-delta t) (cos, sin / rate)(rate t)
+
+whose c and s are the same for all steps alike and are made once (`swung`). The step is cut where
+a face is met or let go. A face that is let go while still pressed in follows without force. A gap
+of zero is a coupling: one face that pushes and pulls.
 """
 
 from math import cos, exp, sin, sqrt
@@ -14,29 +18,40 @@ from math import cos, exp, sin, sqrt
 from sim_rig.model.lesser import greater, lesser
 
 
-def oscillate(y: float, v: float, delta: float, square: float, t: float) -> tuple[float, float]:
-    """(y, y') after t of y'' + 2 delta y' + (square + delta^2) y = 0; square may be negative."""
+def sprung(mu: float, k: float, d: float) -> tuple[float, float, float]:
+    """(delta, square, soft) of a spring: its decay, its rate's square, which is negative where it
+    creeps, and how far it gives way to a relative acceleration."""
+    delta = 0.5 * mu * k * d
+    return delta, mu * k - delta * delta, 1.0 / (mu * k)
+
+
+def swung(delta: float, square: float, t: float) -> tuple[float, float]:
+    """(c, s) after t of y'' + 2 delta y' + (square + delta^2) y = 0."""
     if square > 0.0:
         rate = sqrt(square)
         decay = exp(-delta * t)
-        c, s = decay * cos(rate * t), decay * sin(rate * t) / rate
-    elif square < 0.0:
+        return decay * cos(rate * t), decay * sin(rate * t) / rate
+    if square < 0.0:
         rate = sqrt(-square)
         slow, fast = exp((rate - delta) * t), exp(-(rate + delta) * t)
-        c, s = 0.5 * (slow + fast), 0.5 * (slow - fast) / rate
-    else:
-        c = exp(-delta * t)
-        s = c * t
+        return 0.5 * (slow + fast), 0.5 * (slow - fast) / rate
+    c = exp(-delta * t)
+    return c, c * t
+
+
+def oscillate(  # noqa: PLR0917 - compiled, and compiled calls name nothing
+    y: float, v: float, delta: float, square: float, c: float, s: float
+) -> tuple[float, float]:
+    """(y, y') after the time that c and s are of."""
     return y * c + (v + delta * y) * s, v * c - ((square + delta * delta) * y + delta * v) * s
 
 
-def twisted(  # noqa: PLR0917 - compiled, and compiled calls name nothing
-    x: float, v: float, a: float, mu: float, k: float, d: float, h: float
+def twisted(  # noqa: PLR0917
+    x: float, v: float, a: float, delta: float, square: float, soft: float, c: float, s: float
 ) -> tuple[float, float]:
-    """(x, x') after h of a spring that pushes and pulls: a coupling."""
-    delta = 0.5 * mu * k * d
-    rest = a / (mu * k)
-    y, w = oscillate(x - rest, v, delta, mu * k - delta * delta, h)
+    """(x, x') of a spring that pushes and pulls, a coupling, after the time that c and s are of."""
+    rest = a * soft
+    y, w = oscillate(x - rest, v, delta, square, c, s)
     return y + rest, w
 
 
@@ -48,20 +63,37 @@ def upward(x: float, v: float, a: float, never: float) -> float:
     return greater(-2.0 * x / (v + sqrt(root)) if v > 0.0 else (sqrt(root) - v) / a, 0.0)
 
 
-def meet(  # noqa: PLR0912, PLR0917 - compiled; one event after another
-    x: float, v: float, a: float, mu: float, k: float, d: float, gap: float, h: float
+def piece_of(soft: float, h: float) -> float:
+    """How much of a step `meet` takes at once: an eighth of a period at most, so that no release
+    hides within."""
+    return lesser(h, 0.75 * sqrt(soft))
+
+
+def meet(  # noqa: PLR0912, PLR0915, PLR0917 - one event after another
+    x: float,
+    v: float,
+    a: float,
+    d: float,
+    delta: float,
+    square: float,
+    soft: float,
+    gap: float,
+    h: float,
+    piece: float,
+    c: float,
+    s: float,
 ) -> tuple[float, float]:
-    """(x, x') after h."""
+    """(x, x') after h, with a damping time d; c and s are `swung`'s over `piece`, `piece_of`'s."""
     half = 0.5 * gap
-    delta = 0.5 * mu * k * d
-    square = mu * k - delta * delta
     if half <= 0.0:
-        return twisted(x, v, a, mu, k, d, h)
-    # An eighth of a period at most, so that no release hides within a piece.
-    longest, never = 0.75 / sqrt(mu * k), 2.0 * h + 1.0
+        all_c, all_s = swung(delta, square, h)
+        return twisted(x, v, a, delta, square, soft, all_c, all_s)
+    never = 2.0 * h + 1.0
     left, side = h, 1.0 if x >= 0.0 else -1.0
     p = side * x - half
     free = p < 0.0 or p + d * side * v < 0.0 or (p == 0.0 and side * v <= 0.0 >= side * a)
+    if free and abs(x) + (abs(v) + 0.5 * abs(a) * h) * h < half:  # no face is within reach
+        return x + v * h + 0.5 * a * h * h, v + a * h
     for _ in range(1000):
         if left <= 0.0:
             break
@@ -84,10 +116,13 @@ def meet(  # noqa: PLR0912, PLR0917 - compiled; one event after another
                 x = side * half
             left -= t
             continue
-        rest = side * a / (mu * k)
+        rest = side * a * soft
         y0, v0 = side * x - half - rest, side * v
-        t = lesser(left, longest)
-        y, w = oscillate(y0, v0, delta, square, t)
+        t, over_c, over_s = piece, c, s
+        if left < piece:
+            t = left
+            over_c, over_s = swung(delta, square, t)
+        y, w = oscillate(y0, v0, delta, square, over_c, over_s)
         if y + rest + d * w < 0.0:
             low, high = 0.0, t
             for _ in range(60):
@@ -103,7 +138,8 @@ def meet(  # noqa: PLR0912, PLR0917 - compiled; one event after another
                     t -= force / slope
                 if not low < t < high:
                     t = 0.5 * (low + high)
-                y, w = oscillate(y0, v0, delta, square, t)
+                over_c, over_s = swung(delta, square, t)
+                y, w = oscillate(y0, v0, delta, square, over_c, over_s)
             free = True
         x, v = side * (y + rest + half), side * w
         left -= t

@@ -25,7 +25,8 @@ from sim_rig.model.skeleton import MEMORY
 
 HELPERS = (
     *("lesser", "greater", "propagator"),
-    *("oscillate", "twisted", "upward", "meet", "reach", "share_pushed"),
+    *("sprung", "swung", "oscillate", "twisted", "upward", "piece_of", "meet"),
+    *("reach", "share_pushed"),
 )
 _SIGNATURE = "b1(f8[::1],f8[::1],f8[::1],f8[::1],f8[::1],f8[:,::1],i8,f8,f8[:,::1])"
 

@@ -15,18 +15,24 @@ def propagator(
     """(E11, E12, E21, E22, S11, S12, S21, S22, D11, D12), by the exponential's series.
 
     By Cayley and Hamilton M^2 = -p M - i, so that each term is one number times 1 and one times
-    M. Sixteen terms are exact to rounding for h (p + sqrt(i)) <= 0.5.
+    M. Sixteen terms are exact to rounding for h (p + sqrt(i)) <= 0.5; it ends where terms are lost
+    in rounding, at once for h = 0.
     """
     one, m = 1.0, 0.0
     e0, e1, s0, s1, d0, d1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    part = h
     for k in range(16):
+        then = h / (k + 2)
         e0 += one
         e1 += m
-        s0 += one * h / (k + 1)
-        s1 += m * h / (k + 1)
-        d0 += one * h * h / ((k + 1) * (k + 2))
-        d1 += m * h * h / ((k + 1) * (k + 2))
-        one, m = -i * m * h / (k + 1), (one - p * m) * h / (k + 1)
+        s0 += one * part
+        s1 += m * part
+        d0 += one * part * then
+        d1 += m * part * then
+        one, m = -i * m * part, (one - p * m) * part
+        part = then
+        if abs(one) < 1e-18 and abs(m) <= 1e-18 * e1:
+            break
     return (
         *(e0 - p * e1, i * e1, -e1, e0),
         *(s0 - p * s1, i * s1, -s1, s0),

@@ -42,7 +42,7 @@ from math import (  # noqa: F401 - what laws may call in the page
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_rig.model.contact import meet, twisted
+from sim_rig.model.contact import meet, piece_of, sprung, swung, twisted
 from sim_rig.model.lesser import greater, lesser
 from sim_rig.model.play import reach, share_pushed
 from sim_rig.model.propagator import propagator
@@ -95,6 +95,7 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
     damping_s = damping / compliance if two_masses else 0.0
     shaft_s = shaft_damping / shaft_compliance if coupled else 0.0
     shaft = 1.0 / shaft_compliance if coupled else 0.0
+    face = 1.0 / compliance if two_masses else 0.0
     per_load = 1.0 / load_inertia if two_masses else 0.0
     motor_inertia = inertia_kg_m2
     motor_inertia -= load_inertia if two_masses else 0.0
@@ -103,6 +104,17 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
     per_twist = per_hub if mode == MOTION else per_hub + per_motor
     per_driver = per_hub if coupled else 0.0 if mode == MOTION else per_motor
     per_mass = per_load + per_driver
+    moved_kg_m2 = 1.0 / per_mass if two_masses else 0.0
+    wound_kg_m2 = 1.0 / per_twist if coupled else 0.0
+    face_delta, face_square, face_soft = 0.0, 0.0, 0.0
+    if two_masses:
+        face_delta, face_square, face_soft = sprung(per_mass, face, damping_s)
+    shaft_delta, shaft_square, shaft_soft = 0.0, 0.0, 0.0
+    if coupled:
+        shaft_delta, shaft_square, shaft_soft = sprung(per_twist, shaft, shaft_s)
+    # what a spring does in half a step and in a whole one: c, s (see `contact`)
+    bent_s, bent_c, bent_sine, pressed_s, pressed_c, pressed_sine = 0.0, 1.0, 0.0, 0.0, 1.0, 0.0
+    half_c, half_sine, whole_c, whole_sine = 1.0, 0.0, 1.0, 0.0
     if not coupled:
         hub, hub_rate = theta, omega
     nominal_per_motor = 1.0 / nominal_inertia_kg_m2
@@ -168,6 +180,7 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
                 step_s = 0.0 if part != 1 else h if fine == 0 else h / FINER
                 since_s = 0.0 if part == 0 else 0.5 * (before_s + step_s)
                 per_since = 1.0 / since_s if since_s > 0.0 else 0.0
+                per_step = 1.0 / step_s if step_s > 0.0 else 0.0
                 count = 1 if part != 1 or before_s != step_s else whole if fine == 0 else fine
                 half_s = 0.5 * step_s
                 lead_s, cube = 0.5 * before_s + 0.25 * step_s, step_s * step_s * step_s / 12.0
@@ -178,6 +191,13 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
                 e11, e12, e21, e22, s11, s12, s21, s22, d11, d12 = propagator(
                     per_a * loop_p, per_a * loop_i, step_s
                 )
+                if two_masses and step_s > 0.0:
+                    bent_s, pressed_s = piece_of(face_soft, half_s), piece_of(face_soft, step_s)
+                    bent_c, bent_sine = swung(face_delta, face_square, bent_s)
+                    pressed_c, pressed_sine = swung(face_delta, face_square, pressed_s)
+                if coupled:
+                    half_c, half_sine = swung(shaft_delta, shaft_square, half_s)
+                    whole_c, whole_sine = swung(shaft_delta, shaft_square, step_s)
                 done = 0
                 while done < count:
                     done += 1
@@ -196,9 +216,12 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
                     driver, driver_rate, shaft_nm = motor_angle_rad, motor_velocity_rad_s, 0.0
                     if coupled:
                         x, v = theta - hub, omega - hub_rate
-                        twist, twist_rate = twisted(x, v, wound, per_twist, shaft, shaft_s, half_s)
+                        twist, twist_rate = twisted(
+                            *(x, v, wound, shaft_delta, shaft_square, shaft_soft),
+                            *(half_c, half_sine),
+                        )
                         if mode != MOTION:
-                            share = per_motor / per_twist
+                            share = per_motor * wound_kg_m2
                             moment = share * (x + (v + 0.5 * wound * half_s) * half_s - twist)
                             motor_angle_rad -= moment
                             integral_rad += moment
@@ -213,10 +236,11 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
                         if step_s > 0.0:
                             x, v = hub - load, hub_rate - load_rate
                             ahead, closing = meet(
-                                x, v, apart, per_mass, 1.0 / compliance, damping_s, gap, half_s
+                                *(x, v, apart, damping_s, face_delta, face_square, face_soft),
+                                *(gap, half_s, bent_s, bent_c, bent_sine),
                             )
                             if mode != MOTION and not coupled:
-                                share = per_motor / per_mass
+                                share = per_motor * moved_kg_m2
                                 moment = share * (x + (v + 0.5 * apart * half_s) * half_s - ahead)
                                 motor_angle_rad -= moment
                                 integral_rad += moment
@@ -292,11 +316,12 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
                         if step_s > 0.0:
                             x, v = hub - load, hub_rate - load_rate
                             ahead, closing = meet(
-                                x, v, apart, per_mass, 1.0 / compliance, damping_s, gap, step_s
+                                *(x, v, apart, damping_s, face_delta, face_square, face_soft),
+                                *(gap, step_s, pressed_s, pressed_c, pressed_sine),
                             )
-                            impulse = (v + apart * step_s - closing) / per_mass
-                            contact_torque_nm = impulse / step_s
-                            late = (x + (v + apart * half_s) * step_s - ahead) / per_mass
+                            impulse = (v + apart * step_s - closing) * moved_kg_m2
+                            contact_torque_nm = impulse * per_step
+                            late = (x + (v + apart * half_s) * step_s - ahead) * moved_kg_m2
                             late -= impulse * half_s
                             if mode != MOTION and not coupled:
                                 pull = acceleration - contact_torque_nm * per_motor
@@ -316,11 +341,12 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
                         if step_s > 0.0:
                             x, v = theta - hub, omega - hub_rate
                             twist, twist_rate = twisted(
-                                x, v, wound, per_twist, shaft, shaft_s, step_s
+                                *(x, v, wound, shaft_delta, shaft_square, shaft_soft),
+                                *(whole_c, whole_sine),
                             )
-                            impulse = (v + wound * step_s - twist_rate) / per_twist
-                            spun_nm = impulse / step_s
-                            late_spun = (x + (v + wound * half_s) * step_s - twist) / per_twist
+                            impulse = (v + wound * step_s - twist_rate) * wound_kg_m2
+                            spun_nm = impulse * per_step
+                            late_spun = (x + (v + wound * half_s) * step_s - twist) * wound_kg_m2
                             late_spun -= impulse * half_s
                             if mode != MOTION:
                                 pull = acceleration - spun_nm * per_motor

@@ -12,11 +12,12 @@ simulated current times the K_T that the model had before the fit, and tells not
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_bench.diagnosis.comparing.haar import SHORTEST_S, Haar, haar_of
 from servo_bench.diagnosis.comparing.noise import floor_of
 from servo_bench.diagnosis.comparing.playing import Piece, Source
 from servo_bench.diagnosis.comparing.rows import EFFORTS, Array, Mask, Rows, rows_of
@@ -36,8 +37,6 @@ INCREMENT_S = 0.008
 GROUP_S = 0.25
 """Errors so far apart count as independent; within a window that started wrong, none do."""
 FEWEST_POINTS = 64
-SHORTEST_S = 1e-9
-"""Between two samples: a device that read two commands at once gives them one time."""
 CURRENTS = ("current_a", "motor_current_a")
 
 
@@ -62,11 +61,12 @@ class Signal(NamedTuple):
 
 
 class _Points(NamedTuple):
-    """One piece's points: each from row `start` to row `end`."""
+    """One piece's points: each from row `start` to row `end`; and their longer increments."""
 
     piece: Piece
     start: NDArray[np.intp]
     end: NDArray[np.intp]
+    haars: tuple[Haar | None, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +93,7 @@ class Comparison:
         parts = []
         for points in self.pieces:
             shown = self.source.play(model, points.piece)
-            parts.append(np.stack([taken(s, shown, points, self.source) for s in self.signals]))
+            parts.append(taken(self.signals, shown, points, self.source))
         errors = self.measured - np.concatenate(parts, axis=1)
         for k, signal in enumerate(self.signals):
             if signal.level and np.isfinite(errors[k]).any():
@@ -147,7 +147,8 @@ def compare(
     if scales:
         signals = tuple(_scaled(signals, rows, scales))
     stride = max(1, round(INCREMENT_S / rows.period_s)) if window_s is not None else 1
-    pieces = tuple(_points(piece, stride) for piece in source.pieces(window_s))
+    cut = (_points(piece, stride) for piece in source.pieces(window_s))
+    pieces = tuple(_with_haars(points, signals, rows) for points in cut)
     start = np.concatenate([p.start for p in pieces])
     elapsed_s = np.concatenate([rows.t_s[p.end] - rows.t_s[p.start] for p in pieces])
     measured = np.concatenate([_measured(signals, p, source) for p in pieces], axis=1)
@@ -303,67 +304,46 @@ def _measured(signals: Sequence[Signal], points: _Points, source: Source) -> Arr
     at = points.piece.rows
     names = {s.channel for s in signals} | {s.less for s in signals if s.less}
     shown = {name: source.rows.channel(name)[at] for name in names}
-    return np.stack(
-        [taken(s._replace(factor=1.0, simulated=s.channel), shown, points, source) for s in signals]
-    )
+    own = [s._replace(factor=1.0, simulated=s.channel) for s in signals]
+    return taken(own, shown, points, source)
 
 
-def taken(signal: Signal, shown: Mapping[str, Array], points: _Points, source: Source) -> Array:
-    """The signal at the points, from the channels at the piece's rows."""
-    values = shown[signal.simulated]
-    if signal.less:
-        values = values - shown[signal.less]
+def taken(
+    signals: Sequence[Signal], shown: Mapping[str, Array], points: _Points, source: Source
+) -> Array:
+    """The signals at the points, shape (signals, points), from the channels at the piece's rows."""
     start, end = points.start - points.piece.first, points.end - points.piece.first
-    if not signal.increments:
-        return np.asarray(values[end] * signal.factor)
-    if signal.stride > 1:
-        return _long(signal, values, points, source)
     elapsed_s = source.rows.t_s[points.end] - source.rows.t_s[points.start]
-    return np.asarray((values[end] - values[start]) / np.maximum(elapsed_s, SHORTEST_S))
-
-
-def _long(signal: Signal, values: Array, points: _Points, source: Source) -> Array:
-    """From the mean of `stride` points to that of the next ones, over their distance (Haar).
-
-    The sensor's white noise falls with sqrt(stride) in it. Neighbours overlap by half, and none
-    reaches over a row whose time is not known. Means are over the samples that came, no fewer
-    than half of them, of what is simulated too.
-    """
-    stride, rows, first = signal.stride, source.rows, points.piece.first
-    found = np.full(points.start.size, np.nan)
-    begin = np.arange(0, points.start.size - 2 * stride + 1, max(stride // 2, 1))
-    if not begin.size:
-        return found
-    at = points.piece.rows
-    came = np.isfinite(rows.channel(signal.channel)[at])
-    if signal.less:
-        came &= np.isfinite(rows.channel(signal.less)[at])
-    edges = np.append(points.start, points.end[-1])
-    start, middle, end = edges[begin], edges[begin + stride], edges[begin + 2 * stride]
-    unknown = np.concatenate(([0], np.cumsum(~rows.timed)))
-    count = _sums(came, came)
-    halves = (start - first, middle - first), (middle - first, end - first)
-    enough = unknown[end] == unknown[start]
-    means = []
-    for low, high in halves:
-        came_there = count[high] - count[low]
-        enough &= came_there >= 0.5 * (high - low)
-        means.append(
-            [
-                (total[high] - total[low]) / np.maximum(came_there, 1.0)
-                for total in (_sums(values, came), _sums(rows.t_s[at], came))
-            ]
-        )
-    (early, early_s), (late, late_s) = means
-    found[begin] = np.where(
-        enough, (late - early) / np.maximum(late_s - early_s, SHORTEST_S), np.nan
-    )
+    elapsed_s = np.maximum(elapsed_s, SHORTEST_S)
+    found = np.empty((len(signals), points.start.size))
+    for k, signal in enumerate(signals):
+        values = shown[signal.simulated]
+        if signal.less:
+            values = values - shown[signal.less]
+        haar = points.haars[k] if signal.increments and signal.stride > 1 else None
+        if not signal.increments:
+            found[k] = values[end] * signal.factor
+        elif haar is not None:
+            found[k] = haar.of(values)
+        else:
+            found[k] = (values[end] - values[start]) / elapsed_s
     return found
 
 
-def _sums(values: NDArray[Any], came: Mask) -> Array:
-    """Cumulative sum of what came, from zero."""
-    return np.concatenate(([0.0], np.cumsum(np.where(came, values, 0.0))))
+def _with_haars(points: _Points, signals: Sequence[Signal], rows: Rows) -> _Points:
+    """Where the signals' increments between means lie; of the others none."""
+    first, at = points.piece.first, points.piece.rows
+    edges = np.append(points.start, points.end[-1:])
+
+    def of(signal: Signal) -> Haar | None:
+        if not signal.increments or signal.stride == 1:
+            return None
+        came = np.isfinite(rows.channel(signal.channel)[at])
+        if signal.less:
+            came &= np.isfinite(rows.channel(signal.less)[at])
+        return haar_of(rows, first, edges, signal.stride, came)
+
+    return points._replace(haars=tuple(of(s) for s in signals))
 
 
 def _whole(rows: Rows, points: _Points) -> Mask:

@@ -185,7 +185,7 @@ def changed_by(evidence: Evidence, model: Model, others: Sequence[Model]) -> Arr
 
 def robust_cost(white: Array) -> Array:
     """rho, point by point."""
-    return np.asarray(2.0 * KNEE**2 * (np.hypot(1.0, white / KNEE) - 1.0))
+    return np.asarray(2.0 * KNEE**2 * (np.sqrt(1.0 + (white / KNEE) ** 2) - 1.0))
 
 
 def block_z(better: Array, worse: Array) -> float:

@@ -34,7 +34,7 @@ def lateness_rms(comparison: Comparison, seed: int = 0) -> Array:
         jumps = np.nan_to_num(np.diff(commands, prepend=commands[:1]))
         walk = -np.cumsum(jumps * late_s * rng.standard_normal(commands.size))
         shown = {s.simulated: np.zeros(commands.size) for s in signals} | dict.fromkeys(WALKS, walk)
-        found.append(np.stack([taken(s, shown, points, comparison.source) for s in signals]))
+        found.append(taken(signals, shown, points, comparison.source))
     errors = np.concatenate(found, axis=1)
     for k, signal in enumerate(signals):
         if signal.level and np.isfinite(errors[k]).any():

@@ -5,7 +5,7 @@ not needed for them: no other effect, no other mode, one slot length, one delay 
 """
 
 from collections.abc import Callable
-from math import ceil, copysign, exp, floor, sin, tanh
+from math import ceil, copysign, exp, floor, sin
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from sim_rig.model.contact import meet, oscillate, piece_of, sprung, swung, twisted, upward
 from sim_rig.model.lesser import greater, lesser
 from sim_rig.model.propagator import propagator
+from sim_rig.model.saturated import saturated
 from sim_rig.model.skeleton import FINER, IMPACT_S
 
 Array = NDArray[np.float64]
 
 HELPERS = (
-    *(lesser, greater, propagator, sprung, swung, oscillate, twisted, upward, piece_of),
+    *(lesser, greater, saturated, propagator, sprung, swung, oscillate, twisted, upward, piece_of),
     meet,
 )
 
@@ -176,16 +177,16 @@ def eighteen(  # noqa: PLR0912, PLR0915 - one loop, by hand
                     driven = torque * per_motor - per_a * ideal
                     jerk = (jerk + driven) * per_since
                     torque += s.cogging * sin(s.order * angle + s.phase)
-                    torque -= s.coulomb * tanh(velocity / s.transition)
+                    torque -= s.coulomb * saturated(velocity / s.transition)
                     travel = velocity * h / s.dahl_rad
                     side = copysign(1.0, travel) if travel != 0.0 else 0.0
                     torque -= s.dahl * (side + (bend - side) * exp(-0.5 * abs(travel)))
                     bend = side + (bend - side) * exp(-abs(travel))
                     slow = exp(-((abs(velocity) / s.stribeck_rad_s) ** 2.0))
-                    torque -= s.stribeck * slow * tanh(velocity / s.stribeck_transition)
+                    torque -= s.stribeck * slow * saturated(velocity / s.stribeck_transition)
                     torque -= s.viscous * velocity
                     on_load = -s.gravity * sin(load_angle + s.gravity_phase)
-                    on_load -= s.load_friction * tanh(load_velocity / s.load_transition)
+                    on_load -= s.load_friction * saturated(load_velocity / s.load_transition)
                     deviation = torque * per_motor - per_a * ideal
                     apart = torque * per_motor - on_load * per_load
                     change = -q

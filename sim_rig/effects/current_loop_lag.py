@@ -38,13 +38,15 @@ class Memory(NamedTuple):
 def law(s: Any, z: Memory, p: Params) -> Any:
     """The mean current over the step, A; at a look, the current."""
     command = s.current_command_a
-    moving = s.since_s > 0.0
-    slope = np.where(moving, (command - z.seen_a) / np.maximum(s.since_s, _TINY), 0.0)
+    per_since = 1.0 / np.maximum(s.since_s, _TINY)
+    slope = (command - z.seen_a) * per_since
     edge = command + 0.5 * s.step_s * slope
     x = np.maximum(s.step_s / p.lag_s, _TINY)
     left = np.exp(-x)
-    mean = np.where(x > _TINY, (1.0 - left) / x, 1.0)
-    behind = np.where(x > _TINY, (edge - z.edge_a) * (1.0 - mean) / x, 0.0)
+    whole = (1.0 - left) / x
+    mean = np.where(x > _TINY, whole, 1.0)
+    share = (1.0 - mean) / x
+    behind = (edge - z.edge_a) * share
     middle = np.where(x > _TINY, 0.5 * (edge - z.edge_a), 0.0)
     return z.edge_a + middle + (z.current_a - z.edge_a) * mean - behind
 
@@ -52,12 +54,13 @@ def law(s: Any, z: Memory, p: Params) -> Any:
 def advance(s: Any, z: Memory, p: Params, dt_s: float) -> Memory:
     """The current at the end of the step; a jump of the command leaves it where it is."""
     command = s.current_command_a
-    moving = s.since_s > 0.0
-    slope = np.where(moving, (command - z.seen_a) / np.maximum(s.since_s, _TINY), 0.0)
+    per_since = 1.0 / np.maximum(s.since_s, _TINY)
+    slope = (command - z.seen_a) * per_since
     edge = command + 0.5 * s.step_s * slope
     x = np.maximum(dt_s / p.lag_s, _TINY)
     left = np.exp(-x)
-    behind = np.where(x > _TINY, (edge - z.edge_a) * (1.0 - left) / x, 0.0)
+    share = (1.0 - left) / x
+    behind = (edge - z.edge_a) * share
     end = edge + (z.current_a - z.edge_a) * left - behind
     return Memory(np.where(x > _TINY, end, z.current_a), edge, command)
 

@@ -35,13 +35,15 @@ class Memory(NamedTuple):
 def law(s: Any, z: Memory, p: Params) -> Any:
     """The filter's mean output over the step, rad/s; at a look, its output."""
     velocity = s.measured_velocity_rad_s
-    moving = s.since_s > 0.0
-    slope = np.where(moving, (velocity - z.seen_rad_s) / np.maximum(s.since_s, _TINY), 0.0)
+    per_since = 1.0 / np.maximum(s.since_s, _TINY)
+    slope = (velocity - z.seen_rad_s) * per_since
     edge = velocity + 0.5 * s.step_s * slope
     x = np.maximum(s.step_s / p.lag_s, _TINY)
     left = np.exp(-x)
-    mean = np.where(x > _TINY, (1.0 - left) / x, 1.0)
-    behind = np.where(x > _TINY, (edge - z.edge_rad_s) * (1.0 - mean) / x, 0.0)
+    whole = (1.0 - left) / x
+    mean = np.where(x > _TINY, whole, 1.0)
+    share = (1.0 - mean) / x
+    behind = (edge - z.edge_rad_s) * share
     middle = np.where(x > _TINY, 0.5 * (edge - z.edge_rad_s), 0.0)
     return z.edge_rad_s + middle + (z.output_rad_s - z.edge_rad_s) * mean - behind
 
@@ -49,12 +51,13 @@ def law(s: Any, z: Memory, p: Params) -> Any:
 def advance(s: Any, z: Memory, p: Params, dt_s: float) -> Memory:
     """The output at the end of the step."""
     velocity = s.measured_velocity_rad_s
-    moving = s.since_s > 0.0
-    slope = np.where(moving, (velocity - z.seen_rad_s) / np.maximum(s.since_s, _TINY), 0.0)
+    per_since = 1.0 / np.maximum(s.since_s, _TINY)
+    slope = (velocity - z.seen_rad_s) * per_since
     edge = velocity + 0.5 * s.step_s * slope
     x = np.maximum(dt_s / p.lag_s, _TINY)
     left = np.exp(-x)
-    behind = np.where(x > _TINY, (edge - z.edge_rad_s) * (1.0 - left) / x, 0.0)
+    share = (1.0 - left) / x
+    behind = (edge - z.edge_rad_s) * share
     end = edge + (z.output_rad_s - z.edge_rad_s) * left - behind
     return Memory(np.where(x > _TINY, end, z.output_rad_s), edge, velocity)
 

@@ -13,7 +13,7 @@ a face is met or let go. A face that is let go while still pressed in follows wi
 of zero is a coupling: one face that pushes and pulls.
 """
 
-from math import cos, exp, sin, sqrt
+from math import ceil, cos, exp, sin, sqrt
 
 from sim_rig.model.lesser import greater, lesser
 
@@ -64,9 +64,9 @@ def upward(x: float, v: float, a: float, never: float) -> float:
 
 
 def piece_of(soft: float, h: float) -> float:
-    """How much of a step `meet` takes at once: an eighth of a period at most, so that no release
-    hides within."""
-    return lesser(h, 0.75 * sqrt(soft))
+    """How much of a step `meet` takes at once: equal parts, of an eighth of a period at most, so
+    that no release hides within."""
+    return h / ceil(h / (0.75 * sqrt(soft)))
 
 
 def meet(  # noqa: PLR0912, PLR0915, PLR0917 - one event after another
@@ -119,7 +119,9 @@ def meet(  # noqa: PLR0912, PLR0915, PLR0917 - one event after another
         rest = side * a * soft
         y0, v0 = side * x - half - rest, side * v
         t, over_c, over_s = piece, c, s
-        if left < piece:
+        if abs(left - piece) <= 1e-9 * piece:
+            left = piece  # the last of equal parts, but for rounding
+        elif left < piece:
             t = left
             over_c, over_s = swung(delta, square, t)
         y, w = oscillate(y0, v0, delta, square, over_c, over_s)

@@ -24,7 +24,7 @@ from sim_rig.model.page import memory_names, page_text, parameter_names
 from sim_rig.model.skeleton import MEMORY
 
 HELPERS = (
-    *("lesser", "greater", "propagator"),
+    *("lesser", "greater", "saturated", "propagator"),
     *("sprung", "swung", "oscillate", "twisted", "upward", "piece_of", "meet"),
     *("reach", "share_pushed"),
 )

@@ -14,9 +14,9 @@ from sim_rig.effects.effect import Effect, Signals
 from sim_rig.errors import EffectError
 
 _RENAMED = {
-    **{name: name for name in ("sin", "cos", "tan", "tanh", "exp", "expm1", "log", "sqrt")},
+    **{name: name for name in ("sin", "cos", "tan", "exp", "expm1", "log", "sqrt")},
     **{"floor": "floor", "hypot": "hypot", "abs": "abs", "minimum": "lesser", "maximum": "greater"},
-    **{"arctan": "atan", "arctan2": "atan2"},
+    **{"arctan": "atan", "arctan2": "atan2", "tanh": "saturated"},
 }
 
 

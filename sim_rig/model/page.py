@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Mapping
 
 from sim_rig.effects.effect import Effect, Port
-from sim_rig.model import contact, lesser, play, propagator, skeleton
+from sim_rig.model import contact, lesser, play, propagator, saturated, skeleton
 from sim_rig.model.inline import Inlined, inline
 
 _MARKER = re.compile(r"^(?P<indent> *)# (?P<what>parameters|memory|pack|port (?P<port>\w+))$")
@@ -44,6 +44,7 @@ def page_text(effects: Mapping[str, Effect]) -> str:
         for function in (
             lesser.lesser,
             lesser.greater,
+            saturated.saturated,
             propagator.propagator,
             contact.sprung,
             contact.swung,
@@ -68,7 +69,7 @@ def page_text(effects: Mapping[str, Effect]) -> str:
     header = [
         '"""The rig with every effect. Written by sim_rig.model.page; edit the effects instead."""',
         "from math import atan, atan2, ceil, copysign, cos, exp, expm1, floor, hypot, log, sin",
-        "from math import sqrt, tan, tanh",
+        "from math import sqrt, tan",
         "",
         f"CLOSED, MECHANICS, MOTION = {skeleton.CLOSED}, {skeleton.MECHANICS}, {skeleton.MOTION}",
         f"QUEUE, HEAD, MEMORY = {skeleton.QUEUE}, {skeleton.HEAD}, {skeleton.MEMORY}",

@@ -36,7 +36,6 @@ from math import (  # noqa: F401 - what laws may call in the page
     sin,
     sqrt,
     tan,
-    tanh,
 )
 
 import numpy as np

@@ -9,9 +9,11 @@ A torque that a drive tells is its current times a K_T in its own memory: it is 
 simulated current times the K_T that the model had before the fit, and tells nothing of torque.
 """
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -38,6 +40,12 @@ GROUP_S = 0.25
 """Errors so far apart count as independent; within a window that started wrong, none do."""
 FEWEST_POINTS = 64
 CURRENTS = ("current_a", "motor_current_a")
+
+
+@cache
+def _threads(process: int) -> ThreadPoolExecutor:  # noqa: ARG001 - a forked one makes its own
+    """A process's threads, one a core: a search asks some hundred times for a dozen models."""
+    return ThreadPoolExecutor(len(os.sched_getaffinity(0)) + 1, "simulation")
 
 
 class Signal(NamedTuple):
@@ -100,7 +108,7 @@ class Comparison:
                 errors[k] -= np.nanmedian(errors[k])
         return np.asarray(errors)
 
-    def errors_of(self, models: Sequence[Model], workers: int | None = None) -> list[Array]:
+    def errors_of(self, models: Sequence[Model]) -> list[Array]:
         """The same for many models, over the machine's cores; all NaN where one cannot be run."""
 
         def errors(model: Model) -> Array:
@@ -109,8 +117,9 @@ class Comparison:
             except SimRigError:
                 return np.full_like(self.measured, np.nan)
 
-        with ThreadPoolExecutor(workers) as pool:
-            return list(pool.map(errors, models))
+        if len(models) == 1:
+            return [errors(models[0])]
+        return list(_threads(os.getpid()).map(errors, models))
 
     def rms(self, errors: Array, where: Mask) -> Array:
         """Root mean square over some points, shape (signals,); NaN where there is none."""

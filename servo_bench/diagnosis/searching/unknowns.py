@@ -177,10 +177,17 @@ def _wide(parameter: FreeParameter, effect: str, size: float, inertia: float) ->
 
 
 def put_all(model: Model, unknowns: Sequence[Unknown], values: Sequence[float]) -> Model:
-    """The model with all of them."""
-    for unknown, value in zip(unknowns, values, strict=True):
-        model = unknown.put(model, float(value))
-    return model
+    """The model with all of them; one after another where any carries another."""
+    pairs = list(zip(unknowns, map(float, values), strict=True))
+    if any(unknown.carries for unknown in unknowns):
+        for unknown, value in pairs:
+            model = unknown.put(model, value)
+        return model
+    effects = dict(model.effects)
+    for unknown, value in pairs:
+        params = effects.get(unknown.effect) or find_effect(unknown.effect).params()
+        effects[unknown.effect] = params._replace(**{unknown.field: value})
+    return replace(model, effects=effects)
 
 
 def merged(old: Sequence[Unknown], new: Sequence[Unknown]) -> tuple[Unknown, ...]:

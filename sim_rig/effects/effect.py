@@ -96,6 +96,8 @@ class Port(StrEnum):
     """pipe: motor velocity as the loop sees it"""
     INTEGRAL = "integral_rad"
     """pipe on the integrator's state (no memory of its own): clamps"""
+    CURRENT_DEMAND = "current_demand_a"
+    """pipe: what the velocity loop's gains make of its error, before any limit"""
     CURRENT_COMMAND = "current_command_a"
     """pipe: what the velocity loop asks of the current loop"""
     INTEGRAL_RATE = "integral_rate_rad_s"

@@ -70,6 +70,6 @@ EFFECT = Effect(
     advance=advance,
     sample={"lag_s": 1e-3},
     shows="phase lag in the feedback: the response leads at first, then overshoots more",
-    confused_with=("current_loop_lag", "transport_delay"),
+    confused_with=("current_loop_lag", "transport_delay", "proportional_gain_error"),
     source="Ellis, Control System Design Guide (2012), ch. 14: filters in the velocity loop",
 )

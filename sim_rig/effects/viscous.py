@@ -33,6 +33,7 @@ EFFECT = Effect(
         "current_loop_lag",
         "load_friction",
         "load_dependent_friction",
+        "proportional_gain_error",
     ),
     source="Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994)",
 )

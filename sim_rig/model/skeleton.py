@@ -274,6 +274,7 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
                         proportional_gain_a_s_per_rad * velocity_error_rad_s
                         + integral_gain_a_per_rad * integral_rad
                     )
+                    # port current_demand_a
                     if not powered:
                         current_demand_a = 0.0
                     current_command_a = current_demand_a

@@ -90,6 +90,8 @@ RIGHT: Mapping[str, Right] = MappingProxyType(
         "misalignment": Right(("misalignment",)),
         "encoder_subdivision": Right(("encoder_subdivision",)),
         "encoder_quantisation": Right(("quantisation",)),
+        "proportional_gain_error": Right(("proportional_gain_error",)),
+        "integral_gain_error": Right(("integral_gain_error",)),
     }
 )
 

@@ -133,6 +133,8 @@ COUNTERPARTS: Mapping[str, tuple[Counterpart, ...]] = MappingProxyType(
         "misalignment": _one("misalignment", "angle_rad"),
         "encoder_subdivision": _one("encoder_subdivision", "amplitude_rad"),
         "encoder_quantisation": _one("quantisation", "count_rad"),
+        "proportional_gain_error": _one("proportional_gain_error", "error_fraction"),
+        "integral_gain_error": _one("integral_gain_error", "error_fraction"),
     }
 )
 

@@ -294,6 +294,9 @@ IN_THE_CATALOGUE = (
         choices={"subdivision_lines": (256.0, 512.0)},
     ),
     Hiding("encoder_quantisation", "quantum_rad", 0.2e-3, 1.5e-3),
+    # what somebody set in the drive
+    Hiding("proportional_gain_error", "proportional_gain_error", 0.02, 0.2, signed=True),
+    Hiding("integral_gain_error", "integral_gain_error", 0.03, 0.3, signed=True),
 )
 
 OUTSIDE_THE_CATALOGUE = (

@@ -113,7 +113,7 @@ def measured(
 def integrated(rig: Rig, effects: Effects, drive: Drive, error: float, period: float) -> float:
     """The integrator after a period."""
     integral = drive.integral_a + period * (
-        rig.integral_gain_a_per_rad * error
+        rig.integral_gain_a_per_rad * (1.0 + effects.integral_gain_error) * error
         - effects.anti_windup_per_s * drive.cut_off_a
         - effects.integrator_leak_per_s * drive.integral_a
     )
@@ -163,7 +163,8 @@ def control(
     command = shaped_command(nuisances, effects, drive.command_rad_s, telegram)
     error = command - filtered
     integral = integrated(rig, effects, drive, error, period)
-    wanted = rig.proportional_gain_a_s_per_rad * error + integral
+    proportional = rig.proportional_gain_a_s_per_rad * (1.0 + effects.proportional_gain_error)
+    wanted = proportional * error + integral
     if effects.friction_feedforward_a > 0.0 and command != 0.0:
         wanted += math.copysign(effects.friction_feedforward_a, command)
     wanted, low, band = notched(effects, drive, wanted, period)

@@ -23,6 +23,8 @@ class Effects(NamedTuple):
     command_slew_s2_per_rad: float = 0.0
     velocity_filter_s: float = 0.0
     velocity_hold_s: float = 0.0  # velocity is formed over, and then held for, this long
+    proportional_gain_error: float = 0.0
+    integral_gain_error: float = 0.0
     integrator_clamp_per_a: float = 0.0
     integrator_leak_per_s: float = 0.0
     anti_windup_per_s: float = 0.0

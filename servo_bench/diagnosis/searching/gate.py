@@ -72,6 +72,8 @@ def material_sizes(s: Scales) -> dict[str, float]:
         "torque_ripple": 0.002,
         "torque_constant_error": 0.0125,
         "inertia_error": 0.0125,
+        "proportional_gain_error": 0.0125,
+        "integral_gain_error": 0.0125,
         "torque_constant_droop": 0.01 / s.currents_a[0] ** 2,
         "thermal_torque_constant": 0.025,
         "anti_windup": 3.0,

@@ -321,6 +321,8 @@ def _sizes(effect: Effect, s: Scales) -> tuple[float, ...]:
         "torque_constant_droop": tuple(k / s.currents_a[0] ** 2 for k in (0.05, 0.2)),
         "thermal_torque_constant": (0.05,),
         "current_limit": tuple(1.0 / current for current in (*s.peaks_a, *s.currents_a)),
+        "proportional_gain_error": (-0.1, -0.03, 0.03, 0.1),
+        "integral_gain_error": (-0.15, -0.04, 0.04, 0.15),
         "integrator_clamp": (
             *(k / s.integral_a[2] for k in (0.35, 0.5, 0.8, 1.3, 2.4, 4.0)),
             *(k / s.integral_peak_a for k in (1.05, 1.12, 1.25) if s.integral_peak_a > 0.0),

@@ -56,6 +56,14 @@ SPLITS: dict[frozenset[str], str] = {
         "Command and log at 1 kHz: a lag of the current delays torque, a filter delays what the "
         "loop sees."
     ),
+    frozenset({"proportional_gain_error", "viscous"}): (
+        "Read the gains in the drive itself; or record the motor's current as well: a gain changes "
+        "what the loop asks for, friction what it needs."
+    ),
+    frozenset({"integral_gain_error", "current_loop_lag"}): (
+        "Read the gains in the drive itself; or command and log at 1 kHz: a lag shows within "
+        "milliseconds of a step, an integral gain in its tail."
+    ),
     frozenset({"current_limit", "command_slew"}): (
         "Play half and double the amplitude: a current limit caps the acceleration, a slew limit "
         "the command."

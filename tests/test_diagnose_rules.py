@@ -9,6 +9,7 @@ import pytest
 from servo_bench.diagnosis.judging.judgement import _explained, _has_a_name
 from servo_bench.diagnosis.judging.verdict import Cause
 from servo_bench.diagnosis.searching.accepting import with_a_name
+from servo_bench.diagnosis.searching.contenders import _is_alike
 from servo_bench.diagnosis.searching.gate import passes
 from servo_bench.diagnosis.searching.joint import is_worth_it
 from servo_bench.diagnosis.searching.late import held_back
@@ -174,3 +175,18 @@ def test_what_a_face_gives_to_a_weight_is_not_the_encoders(
     wave = {"amplitude_rad": amplitude_rad, "phase_rad": phase_rad}
     assert is_windup(heavy.with_effect("encoder_eccentricity", **wave)) is windup
     assert not is_windup(MODEL.with_effect("encoder_eccentricity", **wave))
+
+
+@pytest.mark.parametrize(
+    ("best", "leads", "gives_way"),
+    [("stribeck", 0.01, True), ("stribeck", 0.5, False), ("viscous", 0.01, False)],
+)
+def test_a_refinement_that_leads_by_chance_gives_way_to_what_it_refines(
+    best: str, leads: float, gives_way: bool
+) -> None:
+    """Blocks scatter by a fifth; what leads in all of them by half is beyond chance."""
+    costs = 10.0 + 0.2 * np.random.default_rng(5).standard_normal((2, 40))
+    one: Any = SimpleNamespace(effect=best, costs=costs[0] - leads)
+    plain: Any = SimpleNamespace(effect="coulomb", costs=costs[1])
+    unlike: Any = SimpleNamespace(likeness=lambda *_: 0.5)
+    assert _is_alike(unlike, one, plain) is gives_way

@@ -27,7 +27,7 @@ RIVAL_Z, LIKE = 3.0, 0.8
 """What lies less behind, and changes so much the same, is a near rival."""
 REFINES = {"pre_sliding": "coulomb", "thermal_friction": "coulomb", "stribeck": "coulomb"}
 """Friction of its own kind that Coulomb friction does nearly as well."""
-CLEARLY = 4.0
+CLEARLY, BY_CHANCE = 4.0, 2.0
 SHORTEST_BRISTLE_RAD = 2e-5
 
 
@@ -118,15 +118,20 @@ def _simplest_first(played: Round) -> tuple[Contender, ...]:
     """The best one, unless a simpler one does the same as well."""
     best = played.contenders[0]
     gained = float(played.base_costs.sum()) - best.total
-    alike = [
-        c
-        for c in played.contenders
-        if played.likeness(best, c) > _least_likeness(best, c)
-        and c.total - best.total < AS_GOOD * gained
-        and (block_z(best.costs, c.costs) < CLEARLY or _degenerate(best))
-    ]
+    as_good = [c for c in played.contenders if c.total - best.total < AS_GOOD * gained]
+    alike = [c for c in as_good if _is_alike(played, best, c)]
     first = min(alike, key=lambda c: _assumes(c.effect)) if alike else best
     return (first, *(c for c in played.contenders if c is not first))
+
+
+def _is_alike(played: Round, best: Contender, other: Contender) -> bool:
+    """Whether they change the same; a plain cause need not, where what refines it is better than it
+    by no more than chance."""
+    leads_z, refines = block_z(best.costs, other.costs), REFINES.get(best.effect) == other.effect
+    if refines and leads_z < BY_CHANCE:
+        return True
+    enough = played.likeness(best, other) > _least_likeness(best, other)
+    return enough and (leads_z < CLEARLY or _degenerate(best))
 
 
 def _least_likeness(best: Contender, plain: Contender) -> float:

@@ -1,7 +1,7 @@
 """The rig's model: three blocks, effects, and one compiled page that runs them all.
 
 page        the page's text: the skeleton with every effect written in
-skeleton    the rig step after step; propagator, contact, play, lesser: its numerics
+skeleton    the rig step after step; propagator, contact, play, saturated, lesser: its numerics
 engine      the page compiled, and kept
 model       Model: nominal values and effects; simulate, simulate_many
 blocks      controller, mechanics, transmission alone

@@ -1,5 +1,6 @@
 """Rules by which a contender becomes a cause, and a cause explains: each alone, on numbers."""
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -118,10 +119,27 @@ def test_what_explains(
     before: tuple[float, ...], after: tuple[float, ...], explained: bool
 ) -> None:
     whole = SimpleNamespace(names=("twist", "motor velocity", "torque")[: len(before)])
-    finding: Any = SimpleNamespace(
-        misfit_before=np.array(before), misfit_after=np.array(after), whole=whole
+    assert _explained(_finding(whole, before, after, "viscous")) is explained
+
+
+@pytest.mark.parametrize(
+    ("cause", "explained"), [("gravity_imbalance", True), ("load_torque", True), ("viscous", False)]
+)
+def test_what_a_torque_throws_about_reaches_the_motor(cause: str, explained: bool) -> None:
+    whole = SimpleNamespace(names=("twist", "motor velocity", "torque"))
+    thrown = _finding(whole, (21.0, 5.3, 5.1), (0.45, 1.25, 1.05), cause)
+    assert _explained(thrown) is explained
+    worse = _finding(whole, (21.0, 5.3, 5.1), (0.45, 1.6, 1.05), cause)
+    assert not _explained(worse)
+
+
+def _finding(whole: Any, before: Sequence[float], after: Sequence[float], cause: str) -> Any:
+    return SimpleNamespace(
+        misfit_before=np.array(before),
+        misfit_after=np.array(after),
+        whole=whole,
+        named=(SimpleNamespace(effect=cause),),
     )
-    assert _explained(finding) is explained
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ from servo_bench.diagnosis.judging.verdict import (
 from servo_bench.diagnosis.searching.coasting import given_back, is_coasting, slowing_rad_s2
 from servo_bench.diagnosis.searching.finding import Finding
 from servo_bench.diagnosis.searching.gate import RIGHT, RIGHT_ALREADY
-from servo_bench.diagnosis.searching.hypotheses import DETECTED
+from servo_bench.diagnosis.searching.hypotheses import DETECTED, ON_THE_LOAD
 from servo_bench.diagnosis.searching.readying import order_tolerance
 from sim_rig.effects import find_effect
 from sim_rig.model import Model
@@ -38,6 +38,8 @@ FAR_BETTER, NEARLY_RIGHT, BEST_LAW = 10.0, 2.5, 40.0
 """So many times better than before, and so near, is explained too where it is the load's, whose
 bounces no law foretells: what remains is noted. No law is exact: of what is far off, a fortieth may
 be left. Of the motor and its torque no more is: a notch of 25 Hz left 1.12 of 15 there."""
+THROWN = 1.5
+"""That near the motor may be where a torque on the load throws it about: its bounces reach it."""
 WORSE = 1.25
 """So many times as wrong as before, and more than a right simulation usually is, is not explained:
 a notch in the controller was called a lag and a soft coupling, which put the twist wrong."""
@@ -157,7 +159,9 @@ def _explained(finding: Finding) -> bool:
     if after.max() <= RIGHT:
         return True
     of_the_load = [name.startswith(("twist", "load")) for name in finding.whole.names]
-    near = np.maximum(np.where(of_the_load, NEARLY_RIGHT, RIGHT), before.max() / BEST_LAW)
+    thrown = bool({n.effect for n in finding.named} & ON_THE_LOAD)
+    of_the_motor = THROWN if thrown else RIGHT
+    near = np.maximum(np.where(of_the_load, NEARLY_RIGHT, of_the_motor), before.max() / BEST_LAW)
     return bool(before.max() > FAR_BETTER * after.max() and (after <= near).all())
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from sim_rig.effects.effect import Effect, LogUniform, Port, Value
 
 _TINY = 1e-12
+"""Of a time: what is divided by is the same for all steps alike, and is divided by once."""
 
 
 class Params(NamedTuple):

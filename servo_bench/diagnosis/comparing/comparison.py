@@ -44,7 +44,7 @@ CURRENTS = ("current_a", "motor_current_a")
 
 @cache
 def _threads(process: int) -> ThreadPoolExecutor:  # noqa: ARG001 - a forked one makes its own
-    """A process's threads, one a core: a search asks some hundred times for a dozen models."""
+    """A process's threads, one more than its cores: a search asks hundreds of times for models."""
     return ThreadPoolExecutor(len(os.sched_getaffinity(0)) + 1, "simulation")
 
 

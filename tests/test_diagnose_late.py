@@ -1,4 +1,4 @@
-"""What was too little for a name, asked once more beside a load that coasts."""
+"""What no round named, asked once more beside a load that coasts."""
 
 from collections.abc import Sequence
 
@@ -20,7 +20,6 @@ from tests.fit_recordings import NOMINAL, PERIOD_S, recorded
 MODEL = Model(NOMINAL)
 SLOWED_RAD_S2 = 350.0
 COUPLING, COMPLIANCE_RAD_PER_NM, HUB_KG_M2 = "coupling_compliance", 4e-3, 7.5e-5
-ASKED = frozenset({COUPLING})
 SOFT = MODEL.with_effect(
     COUPLING,
     compliance_rad_per_nm=COMPLIANCE_RAD_PER_NM,
@@ -37,11 +36,13 @@ def lately(hidden: Model, seed: int, only: Sequence[str]) -> tuple[Late, Found]:
     scales = scales_of(MODEL, commands, PERIOD_S)
     band = nuisances(scales.rig_torque_nm, scales.gap_rad)
     plain = seek(seen, MODEL, band, iterations=3)
-    return Late(seen, seen, hypotheses(scales, only=only), scales, band, nothing_told), plain
+    tried = hypotheses(scales, motor_orders=(24.0,), only=only)
+    return Late(seen, seen, tried, scales, band, nothing_told), plain
 
 
-def again(hidden: Model, seed: int, asked: frozenset[str] = ASKED) -> list[Named] | None:
-    found = asked_again(*lately(hidden, seed, [COUPLING]), asked)
+def again(hidden: Model, seed: int, *only: str) -> list[Named] | None:
+    late, plain = lately(hidden, seed, only or (COUPLING,))
+    found = asked_again(late, late.whole, plain, plain, lambda _: None)
     return None if found is None else found[1]
 
 
@@ -79,6 +80,18 @@ def test_none_is_found_where_there_is_none(seed: int, slowed_rad_s2: float) -> N
     assert again(coasting(MODEL, slowed_rad_s2), seed) is None
 
 
-def test_where_nothing_coasts_or_nothing_was_too_little_nothing_is_asked() -> None:
+def test_where_nothing_coasts_nothing_is_asked() -> None:
     assert again(SOFT, 64) is None
-    assert again(coasting(SOFT, SLOWED_RAD_S2), 61, asked=frozenset()) is None
+
+
+def test_a_dead_time_shows_beside_a_load_that_coasts_and_a_line_too_small_for_a_name() -> None:
+    """The line comes first, and is part of the base from then on."""
+    rippled = MODEL.with_effect("cogging", torque_nm=2.4e-4, order=24.0)
+    late = rippled.with_effect("inverter_dead_time", notch_a=0.05, pole_pair_count=4.0)
+    found = again(coasting(late, SLOWED_RAD_S2), 67, "cogging", "inverter_dead_time")
+    assert found is not None
+    assert [n.effect for n in found] == ["inverter_dead_time"]
+    assert found[0].contender.found.value("inverter_dead_time.notch_a") == pytest.approx(
+        0.05, rel=0.2
+    )
+    assert found[0].contender.found.value("cogging.torque_nm") == pytest.approx(2.4e-4, rel=0.2)

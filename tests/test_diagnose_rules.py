@@ -11,7 +11,8 @@ from servo_bench.diagnosis.judging.judgement import _explained, _has_a_name
 from servo_bench.diagnosis.judging.verdict import Cause
 from servo_bench.diagnosis.searching.accepting import with_a_name
 from servo_bench.diagnosis.searching.contenders import _is_alike
-from servo_bench.diagnosis.searching.gate import passes
+from servo_bench.diagnosis.searching.gate import passes, passes_beside_coasting
+from servo_bench.diagnosis.searching.hypotheses import hypotheses
 from servo_bench.diagnosis.searching.joint import is_worth_it
 from servo_bench.diagnosis.searching.late import held_back
 from servo_bench.diagnosis.searching.reading_off import is_windup
@@ -81,6 +82,34 @@ def test_a_spring_is_surer_than_others_where_all_is_right_already(z: float, able
     ]
     assert [passes(one, right=True) for one in both] == [able, True]
     assert all(passes(one) for one in both)
+
+
+@pytest.mark.parametrize(
+    ("effect", "gain", "z", "able"),
+    [
+        ("inverter_dead_time", 0.01, 5.0, True),
+        ("inverter_dead_time", 0.005, 5.0, False),
+        ("inverter_dead_time", 0.01, 3.5, False),
+        ("viscous", 0.01, 5.0, False),
+        ("coupling_compliance", 0.04, 20.0, False),
+        ("coupling_compliance", 0.06, 20.0, True),
+    ],
+)
+def test_beside_a_load_that_coasts_a_little_of_the_cost_is_enough_where_it_is_beyond_chance(
+    effect: str, gain: float, z: float, able: bool
+) -> None:
+    """Not for a spring, nor for what every rig has up to nearly a cause's size."""
+    one: Any = SimpleNamespace(effect=effect, seen_gain=gain, seen_z=z, held_gain=gain, held_z=z)
+    assert passes_beside_coasting(one, right=True) is able
+
+
+def test_what_is_left_out_carries_nothing_else_either() -> None:
+    """An anti-windup acts where a limit cuts the current: with that it would be told after all."""
+    tried = {h.effect for h in hypotheses(SCALES)}
+    assert tried - {h.effect for h in hypotheses(SCALES, without=("current_limit",))} == {
+        "current_limit",
+        "anti_windup",
+    }
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from servo_bench.diagnosis.searching.contenders import Contender, Round, faced
 from servo_bench.diagnosis.searching.finding import find_causes, nothing_told
 from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Trial, hypotheses
 from servo_bench.diagnosis.searching.joint import Named, fit_jointly, is_worth_it, own_unknowns
-from servo_bench.diagnosis.searching.late import hidden_by_coasting, unsure
+from servo_bench.diagnosis.searching.late import unsure
 from servo_bench.diagnosis.searching.rounds import merged
 from servo_bench.diagnosis.searching.runoff import run_off
 from servo_bench.diagnosis.searching.scales import scales_of
@@ -220,41 +220,6 @@ def test_what_a_coupling_must_take_goes_with_what_else_gives_way(
     found = one.found._replace(model=soft)
     scales = scales_of(MODEL, np.ones(64), 0.008)
     assert is_worth_it(Named(one.effect, played, one, ()), found, scales) is worth
-
-
-@pytest.mark.parametrize(
-    ("seen_z", "seen_gain", "held_gain", "asked"),
-    [
-        (5.0, 0.1, -0.2, True),
-        (5.0, 0.0, 0.1, True),
-        (5.0, 0.02, 0.03, False),
-        (1.0, 0.1, 0.1, False),
-    ],
-)
-def test_what_took_some_of_the_error_is_asked_again_where_a_load_coasts(
-    seen_z: float, seen_gain: float, held_gain: float, *, asked: bool
-) -> None:
-    """A load that coasts takes the place of what acts on the load, which is not asked."""
-    played = no_better_than_the_base("coupling_compliance", "load_friction")
-    showed = {"seen_z": seen_z, "seen_gain": seen_gain, "held_gain": held_gain}
-    both = tuple(showing(played, c.effect, **showed) for c in played.contenders)
-    found = hidden_by_coasting([replace(played, contenders=both)], {})
-    assert found == ({"coupling_compliance"} if asked else set())
-
-
-@pytest.mark.parametrize(("size", "asked"), [(0.5, False), (0.9, True)])
-def test_a_line_that_is_far_too_small_is_so_whatever_the_load_does(
-    size: float, *, asked: bool
-) -> None:
-    played = no_better_than_the_base("cogging")
-    (one,) = (
-        showing(played, c.effect, seen_z=20.0, seen_gain=0.3, held_gain=0.3)
-        for c in played.contenders
-    )
-    rippled = one.found.model.with_effect("cogging", torque_nm=size)
-    shown = replace(one, found=one.found._replace(model=rippled))
-    found = hidden_by_coasting([replace(played, contenders=(shown,))], {"cogging": 1.0})
-    assert found == ({"cogging"} if asked else set())
 
 
 @pytest.mark.parametrize(

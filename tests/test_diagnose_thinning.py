@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from servo_bench.diagnosis.comparing.evidence import beginning, evidence_of
+from servo_bench.diagnosis.comparing.rows import rows_of
 from servo_bench.diagnosis.comparing.thinning import rows_to_a_command, thinned
 from servo_bench.diagnosis.searching.finding import find_causes
 from servo_bench.recording.recording import Recording
@@ -134,6 +135,20 @@ def test_a_long_rest_before_anything_moves_leaves_as_much_motion_to_a_quick_look
     assert len(beginning(late, 400)) == moves + 300
     soon = recorded(MODEL, 51, slots=500)
     assert len(beginning(soon, 400)) == 400
+
+
+@pytest.mark.parametrize("phases", [True, False])
+def test_a_rest_before_anything_moves_is_compared_with_nothing(*, phases: bool) -> None:
+    """Where in its gap the load was left no command tells: a guess would cost more than a cause."""
+    resting = np.concatenate((np.zeros(300), commands(52, 500)))
+    late = beginning(recorded(MODEL, 52, played=resting), 900)
+    kept = late.channels if phases else {n: v for n, v in late.channels.items() if n != "phase"}
+    moves = int(np.argmax(resting != 0.0))
+    rows = rows_of(replace(late, channels=kept))
+    assert not (rows.seen | rows.held_out)[:moves].any()
+    assert (rows.seen | rows.held_out)[moves:].all()
+    still = {**kept, "velocity_command_rad_s": np.zeros(len(late))}
+    assert rows_of(replace(late, channels=still)).seen[0]
 
 
 def test_what_may_be_missed_is_known_where_a_first_piece_is_too_short_for_a_point() -> None:

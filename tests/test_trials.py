@@ -19,7 +19,7 @@ from servo_bench.rig import load_rig
 from tests.trial import main, run_trial
 from tests.trials import told
 from tests.trials.answering import Seal, SealError, ask
-from tests.trials.drawing import CAN_BE_REMOVED, Kind, Question
+from tests.trials.drawing import CAN_BE_REMOVED, NUISANCES, Kind, Question
 from tests.trials.handing import Handed, hand_over, nominal_rig
 from tests.trials.names import right_names
 from tests.truth.hidden import record
@@ -247,6 +247,7 @@ def test_a_question_that_cannot_be_asked_says_why(asked: dict[str, Any], said: s
 def test_what_stands_alone_can_be_removed() -> None:
     assert "gravity" not in CAN_BE_REMOVED
     assert len(CAN_BE_REMOVED) >= 24
+    assert not set(NUISANCES) & set(CAN_BE_REMOVED)  # no verdict names them, removed or not
 
 
 def test_a_run_too_short_says_so(capsys: pytest.CaptureFixture[str]) -> None:

@@ -40,8 +40,9 @@ NUISANCES = ("contact_stiffness", "contact_damping")
 and gives back, so that there is nothing for a verdict to correct, and below some 5 kHz of logging
 they are fitted as nuisances. Until 2026-11-25 they were asked, and in 0 of 34 trials a face had a
 name, though the block sandwich sees most of their range (limits.json)."""
-CAN_BE_REMOVED = tuple(hiding.name for hiding in IN_THE_CATALOGUE if not hiding.also)
-"""Causes that act alone: with a companion left to be named, "unknown" would not be the answer."""
+CAN_BE_REMOVED = tuple(h.name for h in IN_THE_CATALOGUE if not h.also and h.name not in NUISANCES)
+"""Causes that act alone and have a name: with a companion left to be named, or where none is ever
+asked, "unknown" would not be the answer."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from servo_bench.diagnosis.comparing.allowance import SCALES, allowed
 from servo_bench.diagnosis.comparing.comparison import Choice, Comparison, compare
-from servo_bench.diagnosis.comparing.rows import Array, Mask, rows_of
+from servo_bench.diagnosis.comparing.rows import Array, Mask, resting_rows, rows_of
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 
@@ -237,19 +237,12 @@ def _kept_back(recording: Recording) -> int:
     return int(np.argmax(held_out)) if held_out.any() else len(recording)
 
 
-def _resting(recording: Recording) -> int:
-    """Rows before the first command to move; none where there is no command."""
-    if "velocity_command_rad_s" not in recording:
-        return 0
-    return int(np.argmax(np.nan_to_num(recording["velocity_command_rad_s"]) != 0.0))
-
-
 def beginning(recording: Recording, rows: int) -> Recording:
     """The first rows of a recording, none of those that judge, for quick looks.
 
     A rest that is longer than `RESTING` of them, before anything moves, comes beside.
     """
-    rows += max(_resting(recording) - round(RESTING * rows), 0)
+    rows += max(resting_rows(recording) - round(RESTING * rows), 0)
     rows = min(rows, _kept_back(recording))
     if len(recording) <= rows:
         return recording

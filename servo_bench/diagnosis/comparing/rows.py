@@ -212,12 +212,23 @@ def _later(walked: Array, k: int) -> float:
 
 
 def _phases(recording: Recording, t_s: Array) -> tuple[Mask, Mask]:
-    """Lead-in and identification are seen and the validation held out; else the last quarter."""
+    """Lead-in and identification are seen and the validation held out; else the last quarter.
+
+    A rest before any motion is neither: where in its gap the load was left no command tells.
+    """
     if "phase" in recording:
         phase = recording["phase"]
         seen = np.isin(phase, (Phase.LEAD_IN, Phase.IDENTIFICATION))
         held_out = phase == Phase.VALIDATION
         if held_out.any() and seen.any():
             return seen, held_out
-    late = t_s >= t_s[0] + (1.0 - HELD_OUT_SHARE) * (t_s[-1] - t_s[0])
-    return ~late, late
+    first_s = t_s[resting_rows(recording)]
+    late = t_s >= first_s + (1.0 - HELD_OUT_SHARE) * (t_s[-1] - first_s)
+    return ~late & (t_s >= first_s), late
+
+
+def resting_rows(recording: Recording) -> int:
+    """Rows before the first command to move; none where there is no command."""
+    if "velocity_command_rad_s" not in recording:
+        return 0
+    return int(np.argmax(np.nan_to_num(recording["velocity_command_rad_s"]) != 0.0))

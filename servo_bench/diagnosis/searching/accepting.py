@@ -16,6 +16,7 @@ from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting, wit
 from servo_bench.diagnosis.searching.contenders import REFINES, Contender, Round
 from servo_bench.diagnosis.searching.gate import (
     GIVE,
+    HELD_Z,
     MOST_CAUSES,
     RIGHT,
     RIGHT_ALREADY,
@@ -41,7 +42,7 @@ from servo_bench.diagnosis.searching.rounds import LEAST_GAIN, Told, play_round
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found
 
-MOST_ROUNDS = 5
+MOST_ROUNDS = 6
 TURNS = 3
 """After a round in which nothing held what it promised, what promised less has so many more, while
 the simulation is wrong by more than it may be."""
@@ -77,6 +78,12 @@ def with_a_name(
     rivals = (c for c in others if c.effect not in SPRINGS)
     worth = (c for c in rivals if is_worth_it(_named(c, played), c.found, scales))
     return next(worth, accepted)
+
+
+def _hopeless(failed: Sequence[Round]) -> set[str]:
+    """Who was beyond chance worse than nothing on what no fit saw: beside what is too small for a
+    name it need not be asked once more."""
+    return {c.effect for played in failed for c in played.contenders if c.held_z < -HELD_Z}
 
 
 def _named(one: Contender, played: Round) -> Named:
@@ -125,12 +132,13 @@ def rounds_of(
             worth = worth_a_name(one, accepted.found, scales)
             named += worth
             absorbed += [] if one in worth else [one.effect]
-            now, turns, failed = accepted.found, [], []
+            hopeless = set[str]() if worth else _hopeless(failed)
+            now, turns, failed = accepted.found, [hopeless] if hopeless else [], []
             beside = with_coasting(quick, now) if named else now
             # of a class one is enough: two would share among them what nobody can tell apart
             open_ = [h for h in open_ if h.effect not in class_of(accepted.effect)]
             out = OTHERWISE if is_coasting(beside.model) else frozenset[str]()
-            asked = [h for h in open_ if h.effect not in out]
+            asked = [h for h in open_ if h.effect not in out.union(*turns)]
         elif beside is not now:
             beside, asked = now, [h for h in open_ if h.effect in ON_THE_LOAD]
         elif missed < RIGHT or not played.contenders or len(turns) == TURNS:

@@ -28,7 +28,7 @@ RIVAL_Z, LIKE = 3.0, 0.8
 REFINES = {"pre_sliding": "coulomb", "thermal_friction": "coulomb", "stribeck": "coulomb"}
 """Friction of its own kind that Coulomb friction does nearly as well."""
 CLEARLY, BY_CHANCE = 4.0, 2.0
-SHORTEST_BRISTLE_RAD = 2e-5
+SHORTEST_BRISTLE_RAD = 5e-6
 
 
 @dataclass(frozen=True)

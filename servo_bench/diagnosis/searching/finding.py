@@ -44,7 +44,6 @@ from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting, wit
 from servo_bench.diagnosis.searching.contenders import Round
 from servo_bench.diagnosis.searching.gate import (
     is_noted,
-    material_sizes,
     misfit,
 )
 from servo_bench.diagnosis.searching.hypotheses import (
@@ -61,7 +60,6 @@ from servo_bench.diagnosis.searching.late import (
     Late,
     asked_again,
     asked_late,
-    hidden_by_coasting,
     unsure,
 )
 from servo_bench.diagnosis.searching.lighter import on_a_light_load
@@ -69,6 +67,7 @@ from servo_bench.diagnosis.searching.reading_off import READ_OFF, with_readings
 from servo_bench.diagnosis.searching.readying import (
     filled_again,
     heard_after_all,
+    longer_look,
     made_ready,
     turns_of,
     whole_order,
@@ -174,11 +173,10 @@ def find_causes(
     before = misfit(whole, plain.errors)
     late = Late(quick, whole, candidates, scales, band, report)
     noted = any(is_noted(n.effect, before) for n in named)
-    again = hidden_by_coasting(rounds, material_sizes(scales))
-    joint = None if noted else asked_again(late, plain, again)
+    longer = longer_look(recordings, plain.model, block)
+    joint = None if noted else asked_again(late, longer, plain, final, rounds.append)
     if joint is not None:
         (final, named), absorbed = joint, []
-        rounds += [n.round for n in named]
     if not named:  # a line of its error may repeat with the shaft by chance
         final = _coasting_or_not(whole, final, plain)
     one = asked_late(late, final, named, unsure(failed))

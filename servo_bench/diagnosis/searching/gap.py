@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from servo_bench.diagnosis.comparing.evidence import Evidence
 from servo_bench.diagnosis.searching.contenders import faced
-from servo_bench.diagnosis.searching.gate import A_FIFTH, HALF, material_sizes, passes
+from servo_bench.diagnosis.searching.gate import A_FIFTH, material_sizes, passes
 from servo_bench.diagnosis.searching.hypotheses import Hypothesis
 from servo_bench.diagnosis.searching.joint import Named, is_worth_it, own_unknowns
 from servo_bench.diagnosis.searching.scales import Scales
@@ -18,6 +18,9 @@ from servo_bench.diagnosis.searching.unknowns import widened
 from sim_rig.effects import backlash_width
 
 GAP, FREE = "backlash_width", ("change_rad",)
+THIRD = 0.35
+"""Of the size that is worth a name whatever it explains: where most of the error is the gap's, a
+third of it is."""
 
 
 def play_gap(
@@ -25,7 +28,7 @@ def play_gap(
 ) -> Named | None:
     """The gap as a cause, where that of the drawing leaves a fifth more of the error."""
     hypothesis = next((h for h in candidates if h.effect == GAP), None)
-    least_rad = HALF * material_sizes(scales)[GAP]
+    least_rad = THIRD * material_sizes(scales)[GAP]
     params = final.model.effects.get(GAP, backlash_width.Params())
     if hypothesis is None or abs(float(params.change_rad)) < least_rad:
         return None

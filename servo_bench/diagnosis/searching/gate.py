@@ -22,6 +22,8 @@ from sim_rig.model import Model
 SEEN_Z, HELD_Z = 4.0, 3.0
 HELD_GAIN, SECOND_GAIN, FURTHER_GAIN = 0.004, 0.04, 0.05
 """Of the held-out cost: of the first cause, of a second one, and where little is wrong any more."""
+COASTING_GAIN = 0.008
+"""Of both parts, beside a load that coasts."""
 GIVES_Z = 8.5
 """What a spring stands beyond chance, seen and held out together, where all is right already: of a
 rig with nothing wrong and a load that coasts one took 19 and 15 % at z of 5.2 and 5.1, together
@@ -149,6 +151,20 @@ def passes_slowly(contender: Contender) -> bool:
         return True
     foretold = contender.held_z > FORETOLD_Z and contender.held_gain > FURTHER_GAIN
     return contender.effect in WARMING and foretold and contender.seen_gain > HELD_GAIN
+
+
+def passes_beside_coasting(contender: Contender, *, right: bool) -> bool:
+    """Whether a contender is beyond chance beside a load that coasts, and nothing else.
+
+    Where the load goes in its gap is most of the cost there, so that what stands far out in both
+    parts need not take much of it. A spring must, which fits a part of whatever the load does, and
+    what every rig has up to nearly a cause's size.
+    """
+    if contender.effect in SPRINGS | WITHIN:
+        return passes(contender, right=right)
+    least_gain = min(contender.seen_gain, contender.held_gain)
+    sure = contender.seen_z > SEEN_Z and contender.held_z > HELD_Z
+    return sure and least_gain > COASTING_GAIN
 
 
 def _sure(contender: Contender) -> bool:

@@ -197,14 +197,16 @@ def hypotheses(
     without: Sequence[str] = (),
     only: Sequence[str] = (),
 ) -> tuple[Hypothesis, ...]:
-    """All that can be tried on this rig."""
+    """All that can be tried on this rig, `without` some that carry no other effect either."""
     found = []
     for name, effect in catalogue().items():
         if name in DETECTED or name in without or (only and name not in only):
             continue
         if name in ("backlash_width", "position_backlash") and scales.gap_rad <= 0.0:
             continue
-        trials = tuple(_trials(effect, scales, _Orders(motor_orders, ripple_orders, load_orders)))
+        orders = _Orders(motor_orders, ripple_orders, load_orders)
+        tried = _trials(effect, scales, orders)
+        trials = tuple(t for t in tried if t.beside.keys().isdisjoint(without))
         if name == "clock_skew" and crossed_s is not None:
             trials = tuple(_crossing(crossed_s))
         if name == VEHICLE:

@@ -2,13 +2,14 @@
 
 slow     what warms, or turns but a few times; and what the beginning was not sure of
 behind   what is small beside a load that coasts, where that is known
-again    what was too little for a name: where a load coasts it may have stood in for that, or have
-         been hidden by it
+again    all, where a load coasts and nothing was named: it hides what is small, and what was too
+         little for a name may have stood in for it
 ratio    K_T over J, where both stand at opposite ends of what every rig may have
 gap      where nothing else is wrong: one that is so by a little (`gap`)
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,18 +20,16 @@ from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting, wit
 from servo_bench.diagnosis.searching.contenders import REFINES, Contender, Round
 from servo_bench.diagnosis.searching.gap import play_gap
 from servo_bench.diagnosis.searching.gate import (
-    FURTHER_GAIN,
-    HELD_Z,
     LINES,
     RIGHT_ALREADY,
     material_sizes,
     misfit,
-    passes,
+    passes_beside_coasting,
     passes_slowly,
     promises,
     strength_of,
 )
-from servo_bench.diagnosis.searching.hypotheses import Hypothesis
+from servo_bench.diagnosis.searching.hypotheses import SPRINGS, Hypothesis
 from servo_bench.diagnosis.searching.joint import Named, fit_jointly, is_worth_it, own_unknowns
 from servo_bench.diagnosis.searching.rounds import Told, play_round
 from servo_bench.diagnosis.searching.scales import Scales
@@ -47,10 +46,12 @@ SLOW = frozenset(
 )
 """What a recording's beginning hardly shows, because it warms slowly or turns but a few times:
 asked once more of all that was recorded."""
-FAR_BELOW = 0.8
 BEHIND = frozenset({"backlash_width", "encoder_subdivision"})
 """What is small beside a load that coasts, and asked once more where that is known."""
-
+FAR_BELOW = 0.8
+MOST_TURNS, PROMISED, SPRINGS_PROMISED = 3, 0.004, 0.02
+"""Of asking what a load that coasts has hidden: beside what is too small for a name once more; and
+the screened gain below which nothing is fitted there, and no spring."""
 
 RATIO = ("torque_constant_error", "inertia_error")
 AT_ITS_END = 0.95
@@ -68,36 +69,59 @@ class Late(NamedTuple):
     report: Told
 
 
-def hidden_by_coasting(rounds: Sequence[Round], sizes: Mapping[str, float]) -> frozenset[str]:
-    """What is asked again where a load coasts, after rounds without a cause: what took some of the
-    error, though it was too small, or not beyond chance but for the part that was fitted.
-
-    A line's size is known whatever the load does: where it is far below that of `sizes` it stays.
-    """
-    contenders = [c for played in rounds for c in played.contenders]
-    some = [c for c in contenders if max(c.seen_gain, c.held_gain) > FURTHER_GAIN]
-    small = {c.effect for c in some if c.effect in LINES and _is_far_below(c, sizes)}
-    return frozenset({c.effect for c in some if c.seen_z > HELD_Z} - OTHERWISE - small)
-
-
-def _is_far_below(one: Contender, sizes: Mapping[str, float]) -> bool:
-    return abs(strength_of(one.found.model, one.effect)) < FAR_BELOW * sizes[one.effect]
-
-
 def asked_again(
-    late: Late, plain: Found, again: frozenset[str]
+    late: Late, longer: Evidence, plain: Found, final: Found, report: Callable[[Round], None]
 ) -> tuple[Found, list[Named]] | None:
-    """What was too little for a name, once more where the load coasts: without that it stood in for
-    it, or was hidden by it. The joint fit with a cause, where that is better than neither."""
-    coasting = with_coasting(late.whole, plain) if again else plain
-    if not is_coasting(coasting.model):
+    """What no round found, once more where the load coasts: without that it stood in for it, or was
+    hidden by it. The joint fit with a cause, where that is better than neither.
+
+    What is too small for a name, a line of the shaft that `final` has first, is part of the base.
+    It is asked of `longer`, not of the whole: a load that coasts takes long to play.
+    """
+    asking = late._replace(whole=longer)
+    beside = with_coasting(longer, _with_small_lines(asking, plain, final))
+    if not is_coasting(beside.model):
         return None
-    asked = [h for h in late.candidates if h.effect in again | BEHIND]
-    right = float(misfit(late.whole, coasting.errors).max()) < RIGHT_ALREADY
-    found = _play_late_round(late, coasting, asked, lambda one: passes(one, right=right))
-    if found is None:
-        return None
-    joint, named = fit_jointly(late.whole, found.contender.found, [found], late.band, late.report)
+    out = OTHERWISE | (LINES & beside.model.effects.keys())
+    asked = [h for h in late.candidates if h.effect not in out]
+    for _ in range(MOST_TURNS):
+        right = float(misfit(longer, beside.errors).max()) < RIGHT_ALREADY
+        played = _late_round(
+            *(asking, beside, asked),
+            least=PROMISED,
+            least_of_springs=SPRINGS_PROMISED,
+            however_small=LINES,
+        )
+        report(played)
+        able = (c for c in _no_plainer(played) if passes_beside_coasting(c, right=right))
+        found = next(able, None)
+        if found is None:
+            return None
+        named = Named(found.effect, played, found, own_unknowns(found, found.effect))
+        if is_worth_it(named, found.found, late.scales):
+            return _jointly(late, plain, named)
+        beside = found.found
+        hopeful = {s.hypothesis.effect for s in played.screened if s.gain > LEAST}
+        springs = SPRINGS & {c.effect for c in played.contenders}  # three free numbers: asked once
+        asked = [h for h in asked if h.effect in hopeful - class_of(found.effect) - springs]
+    return None
+
+
+def _with_small_lines(late: Late, plain: Found, final: Found) -> Found:
+    """The plain fit on what is asked, with the lines that another one has beside it which are far
+    too small for a name: that is known whatever the load does."""
+    sizes = material_sizes(late.scales)
+    here = LINES & final.model.effects.keys()
+    small = {e for e in here if abs(strength_of(final.model, e)) < FAR_BELOW * sizes[e]}
+    effects = {**plain.model.effects, **{e: final.model.effects[e] for e in small}}
+    own = tuple(u for u in final.unknowns if u.effect in small)
+    model, unknowns = replace(plain.model, effects=effects), (*plain.unknowns, *own)
+    return seek(late.whole, model, unknowns, plain.sigma, iterations=1, first=2)
+
+
+def _jointly(late: Late, plain: Found, one: Named) -> tuple[Found, list[Named]] | None:
+    """The joint fit with it, where that is better than the plain one."""
+    joint, named = fit_jointly(late.whole, one.contender.found, [one], late.band, late.report)
     better = joint.errors.cost(plain.sigma) < plain.errors.cost(plain.sigma)
     return (joint, named) if better else None
 
@@ -121,8 +145,8 @@ def asked_late(
         known = one.effect in rivals or unsure_still
         return passes_slowly(one) and not known
 
-    found = _play_late_round(late, final, asked, is_able)
-    return found or (None if named else play_gap(late.whole, final, late.candidates, late.scales))
+    gap = None if named else play_gap(late.whole, final, late.candidates, late.scales)
+    return gap or _play_late_round(late, final, asked, is_able)
 
 
 def held_back(final: Found) -> frozenset[str]:
@@ -148,21 +172,43 @@ def _play_late_round(
     """The best of these that is `able` and worth a name, beside everything that was found."""
     if not asked:
         return None
-    whole, sizes = late.whole, material_sizes(late.scales)
-    base = seek(whole, final.model, final.unknowns, final.sigma, iterations=4, first=1)
-    told = _in_late_effects(late.report)
-    played = play_round(
-        whole, base, asked, sizes, told, least=LEAST, settled=True, scouted=late.quick
-    )
-    names = [found.effect for found in played.contenders]
-    for found in played.contenders:
-        plain = REFINES.get(found.effect)
-        if plain in names and names.index(plain) < names.index(found.effect):
-            continue  # it is that, whether that is worth a name or not
+    played = _late_round(late, final, asked)
+    for found in _no_plainer(played):
         named = Named(found.effect, played, found, own_unknowns(found, found.effect))
         if able(found) and is_worth_it(named, found.found, late.scales):
             return named
     return None
+
+
+def _no_plainer(played: Round) -> list[Contender]:
+    """The contenders, without a refinement of what is better than it: it is that, whether that is
+    worth a name or not."""
+    names = [one.effect for one in played.contenders]
+    plainer = {one: names.index(REFINES[one]) for one in names if REFINES.get(one) in names}
+    return [c for k, c in enumerate(played.contenders) if plainer.get(c.effect, k) >= k]
+
+
+def _late_round(
+    late: Late,
+    final: Found,
+    asked: Sequence[Hypothesis],
+    *,
+    least: float = LEAST,
+    least_of_springs: float = 0.0,
+    however_small: frozenset[str] = frozenset(),
+) -> Round:
+    """Asked of all that was recorded; some are fitted `however_small`."""
+    whole, sizes = late.whole, material_sizes(late.scales)
+    sizes = {effect: size for effect, size in sizes.items() if effect not in however_small}
+    base = seek(whole, final.model, final.unknowns, final.sigma, iterations=4, first=1)
+    told = _in_late_effects(late.report)
+    return play_round(
+        *(whole, base, asked, sizes, told),
+        least=least,
+        least_of_springs=least_of_springs,
+        settled=True,
+        scouted=late.quick,
+    )
 
 
 def _in_late_effects(report: Told) -> Told:

@@ -26,6 +26,8 @@ from sim_rig.model import Model
 
 QUICK_S, FEWEST_QUICK_ROWS = 17.6, 2200
 """Of every recording's beginning, on which candidates are tried; no fewer rows of a slow one."""
+LONGER = 1.7
+"""So many times that is looked at where it takes more to see what is small."""
 FEW = 5
 """Samples of a current as large as a limit would leave many of; fewer may be a sensor's slips."""
 MOST_OF_IT = 0.5
@@ -153,10 +155,16 @@ def filled_again(ready: Ready, model: Model) -> Ready:
     return ready._replace(recordings=recordings, held_out=held_out, told=told)
 
 
-def _quick_rows(recordings: Sequence[Recording]) -> int:
+def longer_look(recordings: Sequence[Recording], model: Model, block: Choice) -> Evidence:
+    """For what a load that coasts hides, whose simulation is slow: more than the quick look, and of
+    a long recording not all."""
+    return quick_evidence(recordings, model, _quick_rows(recordings, LONGER), block=block)
+
+
+def _quick_rows(recordings: Sequence[Recording], times: float = 1.0) -> int:
     """Of the quick look: however fast the rows come, as much time is looked at."""
     period_s = min(recording.period_s for recording in recordings)
-    return max(FEWEST_QUICK_ROWS, round(QUICK_S / period_s))
+    return round(times * max(FEWEST_QUICK_ROWS, QUICK_S / period_s))
 
 
 def order_tolerance(turns: float) -> float:

@@ -57,13 +57,15 @@ def play_round(
     told: Told,
     *,
     least: float = LEAST_GAIN,
+    least_of_springs: float = 0.0,
     settled: bool = False,
     scouted: Evidence | None = None,
 ) -> Round:
     """Screen and fit. Contenders may be empty: then nothing promised anything.
 
     `sizes` are those below which an effect is worth no name: what promises little, and is so small,
-    is not fitted; nor is what promises less than `least` of the cost. Beside a base that is
+    is not fitted; nor is what promises less than `least` of the cost, or a spring, whose search is
+    long, that promises less than `least_of_springs`. Beside a base that is
     `settled` on these very data searches begin with narrow differences, and one that gains nothing,
     or far less than the best, goes no further. What rings shows in little of what was recorded:
     where a spring's searches begin may be `scouted` there.
@@ -71,6 +73,7 @@ def play_round(
     told("screening")
     screened = screen(quick, base, hypotheses)
     able = [s for s in screened if s.gain > WORTH_ANYHOW or _largest(s) > _most(s, sizes)]
+    able = [s for s in able if s.hypothesis.effect not in SPRINGS or s.gain > least_of_springs]
     worth = [s for s in able if s.gain > max(least, WORTH * able[0].gain)][:FITTED]
     also = _plain(worth) | _siblings(worth)
     worth += [s for s in able if s.hypothesis.effect in also]

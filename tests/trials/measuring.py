@@ -52,6 +52,7 @@ from tests.trials.seeds import DEVELOPMENT_BELOW
 from tests.truth import hidden
 from tests.truth.catalogue import IN_THE_CATALOGUE, Hiding, Scale
 from tests.truth.effects import NONE, Effects
+from tests.truth.hidden import HiddenTruth
 from tests.truth.nuisances import SCATTER, Nuisances
 from tests.truth.plant import NominalValues, TruthPlant
 
@@ -116,8 +117,12 @@ def bench(seed: int) -> Bench:
     """The rig, the excitation, and the floor of a seed; ValueError for a judging seed."""
     if seed >= DEVELOPMENT_BELOW:
         raise ValueError(f"seed {seed} is for judging: measure with one below {DEVELOPMENT_BELOW}")
-    question = Question(seed=seed, kind="none")
-    experiment = question.plan.seen
+    return bench_of(Question(seed=seed, kind="none"))
+
+
+def bench_of(question: Question) -> Bench:
+    """The rig, the excitation, and the floor of a trial; a judging one's after its verdict."""
+    seed, experiment = question.seed, question.plan.seen
     schedule = experiment.schedule()
     recording = hidden.record(hidden.nothing(seed), experiment, question.nominal)
     channels = ("load_angle_rad", "motor_position_rad", "motor_torque_nm")
@@ -186,6 +191,28 @@ def limits_of(where: Bench, hiding: Hiding, around: Mapping[str, Array]) -> dict
     return {channels: _limit(where, hiding, channels, around, caused_by) for channels in SIGNALS}
 
 
+def margin(
+    where: Bench,
+    hiding: Hiding,
+    channels: Channels,
+    around: Mapping[str, Array],
+    change: Array,
+) -> float:
+    """sqrt(evidence/lambda) of a change that a cause makes, shape (3, rows): above one it is found.
+
+    Of a cause that is linear in its size, its size over its limit.
+    """
+    kept = list(SIGNALS[channels])
+    own = OWN_KIND.get(hiding.name, frozenset())
+    nuisances = [one[kept] for name, one in around.items() if name not in own]
+    if not np.isfinite(change[kept]).all():
+        return math.inf  # it has made the loop unstable
+    rows_per_block = max(round(BLOCK_S / where.schedule.period_s), 1)
+    floor, left = projected(where.floor[kept], nuisances), projected(change[kept], nuisances)
+    wanted = LAMBDA_PHASE if hiding.phases else LAMBDA_ONE
+    return math.sqrt(evidence(left, floor, rows_per_block) / wanted)
+
+
 def _limit(
     where: Bench,
     hiding: Hiding,
@@ -194,19 +221,9 @@ def _limit(
     caused_by: Callable[[float], Array],
 ) -> float:
     """By bisection; NaN where nothing in reach shows, or everything."""
-    kept = list(SIGNALS[channels])
-    own = OWN_KIND.get(hiding.name, frozenset())
-    nuisances = [change[kept] for name, change in around.items() if name not in own]
-    floor = projected(where.floor[kept], nuisances)
-    wanted = LAMBDA_PHASE if hiding.phases else LAMBDA_ONE
-    rows_per_block = max(round(BLOCK_S / where.schedule.period_s), 1)
 
     def shows(size: float) -> bool:
-        caused = caused_by(size)[kept]
-        if not np.isfinite(caused).all():
-            return True  # it has made the loop unstable
-        change = projected(caused, nuisances)
-        return evidence(change, floor, rows_per_block) >= wanted
+        return margin(where, hiding, channels, around, caused_by(size)) >= 1.0
 
     low, high = math.log(SMALLEST * hiding.low), math.log(LARGEST * hiding.high)
     if not shows(math.exp(high)) or shows(math.exp(low)):
@@ -219,7 +236,11 @@ def _limit(
 
 def _caused(where: Bench, hiding: Hiding, size: float, phase_rad: float = 0.0) -> Array:
     """The change that a cause of this size makes; `phase_rad` is added to each of its phases."""
-    truth = hidden.hide(where.seed, {hiding.name: size}).open()
+    return change_of(where, hiding, hidden.hide(where.seed, {hiding.name: size}).open(), phase_rad)
+
+
+def change_of(where: Bench, hiding: Hiding, truth: HiddenTruth, phase_rad: float = 0.0) -> Array:
+    """The change that a truth of one cause makes; its companions are there before and after."""
     effects = truth.effects(where.nominal, where.velocity_rad_s)
     moved = {name: getattr(effects, name) + phase_rad for name in hiding.phases}
     scale = Scale(where.nominal, where.velocity_rad_s)

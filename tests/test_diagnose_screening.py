@@ -134,7 +134,7 @@ def test_what_promised_less_has_its_turn_where_nothing_held_what_it_promised(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A rig that rubs, and a gate that lets nothing pass."""
-    for gate in ("accepting.passes", "late.passes", "late.promises"):
+    for gate in ("accepting.passes", "late.passes_beside_coasting", "late.promises"):
         monkeypatch.setattr(f"servo_bench.diagnosis.searching.{gate}", lambda *_, **__: False)
     hidden = MODEL.with_effect("coulomb", torque_nm=0.03)
     run = recorded(hidden, 34, slots=SLOTS)

@@ -5,7 +5,7 @@
 A campaign hides causes at the sizes that rigs have. Those of limits.json are medians of three rigs;
 here the limit is that of the trial itself, its rig, its run, and its phases, from the truth alone,
 as `measuring` says. The margin is sqrt(evidence/lambda): the size over its limit, where a cause is
-linear in it; that of a limit is how far out what it cuts off stands.
+linear in it; that of a limit is how far out what it cuts off stands; `UNSTABLE` where the loop is.
 """
 
 import argparse
@@ -23,6 +23,7 @@ from tests.truth.catalogue import BY_NAME
 
 MULTIPLES = (1.0, 2.0, 4.0, 8.0)
 """Of its own limit, from which on causes are counted."""
+UNSTABLE = 1e9
 
 
 def margin_of(question: Question) -> float:
@@ -55,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             {
                 "seed": question.seed,
                 "cause": line["hidden"]["causes"][0],
-                "margin": float(f"{far:.4g}") if math.isfinite(far) else 1e9,
+                "margin": float(f"{far:.4g}") if math.isfinite(far) else UNSTABLE,
                 "right": line["score"]["right"],
             }
         )

@@ -197,7 +197,7 @@ def _late_round(
     least_of_springs: float = 0.0,
     however_small: frozenset[str] = frozenset(),
 ) -> Round:
-    """Asked of all that was recorded; some are fitted `however_small`."""
+    """Asked of everything in `late.whole`; some are fitted `however_small`."""
     whole, sizes = late.whole, material_sizes(late.scales)
     sizes = {effect: size for effect, size in sizes.items() if effect not in however_small}
     base = seek(whole, final.model, final.unknowns, final.sigma, iterations=4, first=1)

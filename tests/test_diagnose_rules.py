@@ -9,8 +9,9 @@ import pytest
 
 from servo_bench.diagnosis.judging.judgement import _explained, _has_a_name
 from servo_bench.diagnosis.judging.verdict import Cause
+from servo_bench.diagnosis.searching import rounds
 from servo_bench.diagnosis.searching.accepting import with_a_name
-from servo_bench.diagnosis.searching.contenders import _is_alike
+from servo_bench.diagnosis.searching.contenders import Round, _is_alike
 from servo_bench.diagnosis.searching.gate import passes, passes_beside_coasting
 from servo_bench.diagnosis.searching.hypotheses import hypotheses
 from servo_bench.diagnosis.searching.joint import is_worth_it
@@ -237,3 +238,49 @@ def test_a_refinement_that_leads_by_chance_gives_way_to_what_it_refines(
     plain: Any = SimpleNamespace(effect="coulomb", costs=costs[1])
     unlike: Any = SimpleNamespace(likeness=lambda *_: 0.5)
     assert _is_alike(unlike, one, plain) is gives_way
+
+
+@pytest.mark.parametrize(
+    ("bristle_rad", "gives_way", "near"),
+    [(1.2e-5, True, True), (3e-5, False, True), (1e-4, False, False)],
+)
+def test_short_bristles_are_coulomb_frictions_or_named_beside_it(
+    bristle_rad: float, gives_way: bool, near: bool
+) -> None:
+    """However far they lead: here in every block alike."""
+    costs = 10.0 + 0.2 * np.random.default_rng(5).standard_normal((2, 40))
+    sticks = MODEL.with_effect("pre_sliding", torque_nm=0.01, breakaway_angle_rad=bristle_rad)
+    found: Any = SimpleNamespace(model=sticks)
+    one: Any = SimpleNamespace(effect="pre_sliding", costs=costs[0] - 2.0, found=found)
+    plain: Any = SimpleNamespace(effect="coulomb", costs=costs[1])
+    both = SimpleNamespace(likeness=lambda *_: 0.97, contenders=(one, plain))
+    alike: Any = both
+    assert _is_alike(alike, one, plain) is gives_way
+    assert (plain in Round.near(alike, one)) is near
+    assert (one in Round.near(alike, plain)) is True
+
+
+@pytest.mark.parametrize(
+    ("effect", "missed", "first"),
+    [
+        ("coupling_compliance", 1.6, "right"),
+        ("coupling_compliance", 0.9, "lowest"),  # all is right: nothing hides which it is
+        ("clock_skew", 1.6, "lowest"),
+    ],
+)
+def test_the_right_resonance_is_the_lowest_beside_a_load_that_coasts(
+    monkeypatch: pytest.MonkeyPatch, effect: str, missed: float, first: str
+) -> None:
+    ends = {
+        name: SimpleNamespace(name=name, cost=cost, errors=None)
+        for name, cost in (("lowest", 1.0), ("right", 1.1), ("far", 1.5))
+    }
+    beside = {"lowest": 0.9, "right": 0.4, "far": 0.1}
+    monkeypatch.setattr(rounds, "misfit", lambda *_: np.array([missed]))
+    monkeypatch.setattr(
+        rounds, "with_coasting", lambda _, end: SimpleNamespace(cost=beside[end.name])
+    )
+    quick: Any = None
+    several: Any = list(ends.values())
+    chosen: Any = rounds._deepest(quick, several, effect)
+    assert chosen.name == first

@@ -3,7 +3,8 @@
     named     every accepted cause survived, and what is left is what a right simulation may miss
     unknown   more is left than that; or what was found cannot be (a torque line at no whole order);
               or something stands in the data that no effect makes (a tone, creep, wild samples);
-              or a cause is not as large at the recording's end as it was at its beginning
+              or a cause is not as large at the recording's end as it was at its beginning;
+              or it is not missed where what every rig has may be more (`letting_go`)
     none      neither
 
 What is told of each cause is in `causes`.
@@ -120,6 +121,12 @@ def _strange(finding: Finding) -> Iterator[str]:
                 "number, so nothing on the motor's own shaft makes it (a gear's mesh would)."
             )
     yield from _unsteady(finding)
+    for doubt in finding.doubts:
+        more = " or ".join(effect.replace("_", " ") for effect in doubt.instead)
+        yield (
+            f"{doubt.effect.replace('_', ' ').capitalize()} takes the place of what was not asked "
+            f"as a cause: it is not missed beside more {more} than every rig has."
+        )
 
 
 def _unsteady(finding: Finding) -> Iterator[str]:

@@ -28,7 +28,12 @@ RIVAL_Z, LIKE = 3.0, 0.8
 REFINES = {"pre_sliding": "coulomb", "thermal_friction": "coulomb", "stribeck": "coulomb"}
 """Friction of its own kind that Coulomb friction does nearly as well."""
 CLEARLY, BY_CHANCE = 4.0, 2.0
-SHORTEST_BRISTLE_RAD = 5e-6
+SLIDING_RAD, SHORT_RAD = 1.3e-5, 4e-5
+"""Bristles that only slide, and short ones, which Coulomb friction is named beside: how its own
+turn is shaped makes as much of a difference, and one that leads further the longer the recording.
+Of true Coulomb friction they fitted up to 12 urad (z of 7 to 12 before it), of true ones of 24 urad
+and more, 14.
+"""
 
 
 @dataclass(frozen=True)
@@ -80,12 +85,13 @@ class Round:
         return float(a @ b) / size if size > 0.0 else 0.0
 
     def near(self, one: Contender) -> tuple[Contender, ...]:
-        """Rivals of other effects that change the same, and are not beyond chance worse."""
+        """Rivals of other effects that change the same, and are not beyond chance worse, or cannot
+        be told by that."""
         return tuple(
             c
             for c in self.contenders
             if c.effect != one.effect
-            and block_z(one.costs, c.costs) < RIVAL_Z
+            and (block_z(one.costs, c.costs) < RIVAL_Z or _hardly_told(one, c))
             and self.likeness(one, c) > LIKE
         )
 
@@ -131,17 +137,25 @@ def _is_alike(played: Round, best: Contender, other: Contender) -> bool:
     if refines and leads_z < BY_CHANCE:
         return True
     enough = played.likeness(best, other) > _least_likeness(best, other)
-    return enough and (leads_z < CLEARLY or _degenerate(best))
+    return enough and (leads_z < CLEARLY or _bristle_rad(best) < SLIDING_RAD)
 
 
 def _least_likeness(best: Contender, plain: Contender) -> float:
     return ONE_KIND_ALIKE if REFINES.get(best.effect) == plain.effect else ALIKE
 
 
-def _degenerate(contender: Contender) -> bool:
-    """Whether bristles so short that they only slide: Coulomb friction by another name."""
+def _bristle_rad(contender: Contender) -> float:
+    """How far its friction gives before it slides; infinite of what has no bristles."""
     params = contender.found.model.effects[contender.effect]
-    return float(getattr(params, "breakaway_angle_rad", 1.0)) < SHORTEST_BRISTLE_RAD
+    return float(getattr(params, "breakaway_angle_rad", np.inf))
+
+
+def _hardly_told(one: Contender, other: Contender) -> bool:
+    """Whether one refines the other by bristles so short that no lead tells which it is."""
+    for fine, plain in ((one, other), (other, one)):
+        if REFINES.get(fine.effect) == plain.effect:
+            return _bristle_rad(fine) < SHORT_RAD
+    return False
 
 
 def _assumes(effect: str) -> tuple[int, int, bool]:

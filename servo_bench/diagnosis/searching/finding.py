@@ -62,6 +62,7 @@ from servo_bench.diagnosis.searching.late import (
     asked_late,
     unsure,
 )
+from servo_bench.diagnosis.searching.letting_go import Doubt, doubts
 from servo_bench.diagnosis.searching.lighter import on_a_light_load
 from servo_bench.diagnosis.searching.reading_off import READ_OFF, with_readings
 from servo_bench.diagnosis.searching.readying import (
@@ -109,6 +110,7 @@ class Finding:
     wild: int
     turns: float
     rounds: tuple[Round, ...]
+    doubts: tuple[Doubt, ...]
     misfit_before: Array
     misfit_after: Array
     notes: tuple[str, ...] = ()
@@ -214,6 +216,7 @@ def find_causes(
         wild=_wild(came, whole, final.model, scales),
         turns=turns,
         rounds=tuple(rounds),
+        doubts=doubts(whole, final, named, band, {h.effect for h in candidates}),
         misfit_before=before,
         misfit_after=misfit(whole, final.errors, _beside(whole, final.model, scales, grid)),
         notes=(*ready.notes, *_of_the_rows(came, rows)),

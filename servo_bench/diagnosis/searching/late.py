@@ -31,6 +31,7 @@ from servo_bench.diagnosis.searching.gate import (
 )
 from servo_bench.diagnosis.searching.hypotheses import SPRINGS, Hypothesis
 from servo_bench.diagnosis.searching.joint import Named, fit_jointly, is_worth_it, own_unknowns
+from servo_bench.diagnosis.searching.letting_go import AT_ITS_END
 from servo_bench.diagnosis.searching.rounds import Told, play_round
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek
@@ -54,8 +55,6 @@ MOST_TURNS, PROMISED, SPRINGS_PROMISED = 3, 0.004, 0.02
 the screened gain below which nothing is fitted there, and no spring."""
 
 RATIO = ("torque_constant_error", "inertia_error")
-AT_ITS_END = 0.95
-"""Of its band, on which a nuisance is held back by nothing but that."""
 
 
 class Late(NamedTuple):

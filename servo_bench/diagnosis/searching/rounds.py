@@ -18,7 +18,9 @@ from servo_bench.diagnosis.comparing.evidence import Errors, Evidence
 from servo_bench.diagnosis.comparing.rows import Array
 from servo_bench.diagnosis.searching.approaching import approached
 from servo_bench.diagnosis.searching.classes import siblings_of
+from servo_bench.diagnosis.searching.coasting import with_coasting
 from servo_bench.diagnosis.searching.contenders import REFINES, Round, all_costs, faced
+from servo_bench.diagnosis.searching.gate import RIGHT, misfit
 from servo_bench.diagnosis.searching.hypotheses import SPRINGS, VEHICLE, Hypothesis, Trial
 from servo_bench.diagnosis.searching.screening import Screened, screen
 from servo_bench.diagnosis.searching.seeking import Found, seek, settle
@@ -41,6 +43,9 @@ and a search from a wrong one ends far off."""
 CUTTING = frozenset({"current_limit", "integrator_clamp"})
 NEAR = (0.94, 0.88, 0.82, 0.75)
 """Of a trial's size too, of what cuts off: an eighth less may cut nothing, which has no slope."""
+CLOSE = 1.25
+"""Of the lowest cost: how much higher another valley of a coupling may be, and yet be the right one
+beside a load that coasts. One of 1.10 went to 0.42 of it there."""
 Told = Callable[[str], None]
 BESIDE = (1.0, 0.5, 0.25, 0.05)
 """Of a search's strengths, beside the numbers that the base's own search ended with."""
@@ -154,11 +159,23 @@ def _fitted(
         ends = [
             seek(quick, s.model, s.unknowns, base.sigma, iterations=2, first=first) for s in starts
         ]
-        return min(ends, key=lambda end: end.cost)
+        return _deepest(quick, ends, one.hypothesis.effect)
     masses = MASSES if VEHICLE in one.trial.beside else (1.0,)
     shares = (*STARTS, *NEAR) if one.trial.effect in CUTTING else STARTS
     sizes = [one.trial.times(s).carrying(m) for s, m in product(shares, masses)]
     return _from(quick, base, one.hypothesis, sizes, first)
+
+
+def _deepest(quick: Evidence, ends: Sequence[Found], effect: str) -> Found:
+    """The lowest; of couplings that leave the simulation wrong and end nearly alike, that which is
+    lowest beside a load that coasts: its way through the gap hides which resonance is the right."""
+    best = min(ends, key=lambda end: end.cost)
+    close = [end for end in ends if end.cost < CLOSE * best.cost]
+    wrong = float(misfit(quick, best.errors).max()) > RIGHT
+    if effect not in SPRINGS - {VEHICLE} or len(close) < 2 or not wrong:
+        return best
+    coasting = [with_coasting(quick, end).cost for end in close]
+    return close[int(np.argmin(coasting))]
 
 
 def _from(

@@ -1,0 +1,96 @@
+"""A name that stands only while what every rig has is held in its band is none.
+
+Every fit has some numbers free within bands (`unknowns.nuisances`). Where the catalogue has an
+effect of that name, more of it is a cause, which has been asked beside all the others. Where it was
+left out, more of it can only end at its band's end, and a neighbour may take the rest: a lag what a
+delay lacks, a gain what damping lacks, friction that warms what Coulomb friction lacks. So those
+bands are let go, and a cause that the joint fit does not miss any more has no name.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from servo_bench.diagnosis.comparing.evidence import Evidence
+from servo_bench.diagnosis.searching.classes import class_of
+from servo_bench.diagnosis.searching.contenders import REFINES
+from servo_bench.diagnosis.searching.joint import Named, is_needed, without_effect
+from servo_bench.diagnosis.searching.seeking import Found, seek
+from servo_bench.diagnosis.searching.unknowns import WIDE, Unknown
+from sim_rig.errors import EffectError
+
+AT_ITS_END = 0.95
+"""Of its band, on which a nuisance is held back by nothing but that."""
+WITH, WITHOUT = 3, 4
+"""Iterations of a search with every cause, and of one without, which has further to go."""
+
+
+class Doubt(NamedTuple):
+    """A cause, and what every rig has and more of which would do as well."""
+
+    effect: str
+    instead: tuple[str, ...]
+
+
+def stands_at_its_end(unknown: Unknown, value: float) -> bool:
+    """Whether a number is held back by its band alone."""
+    if not np.isfinite(unknown.deviation):
+        return False
+    high = value > AT_ITS_END * unknown.high
+    return high or (unknown.low < 0.0 and value < AT_ITS_END * unknown.low)
+
+
+def doubts(
+    whole: Evidence,
+    final: Found,
+    named: Sequence[Named],
+    band: Sequence[Unknown],
+    asked: Collection[str],
+) -> tuple[Doubt, ...]:
+    """The causes that are not missed where the bands of what was not `asked` are let go."""
+    found = []
+    for effect in dict.fromkeys(n.effect for n in named):
+        free = [u for u in band if u.effect not in asked and _holds(u, effect, final)]
+        instead = _instead(whole, final, effect, band, free) if free else ()
+        found += [Doubt(effect, instead)] if instead else []
+    return tuple(found)
+
+
+def _holds(unknown: Unknown, effect: str, final: Found) -> bool:
+    """Whether a band may have made a cause of what is more of its own; a class shares one number,
+    and a refinement has all that is plain in itself."""
+    if unknown.effect in class_of(effect) or unknown.name not in {u.name for u in final.unknowns}:
+        return False
+    plain = REFINES.get(effect) == unknown.effect
+    return plain or stands_at_its_end(unknown, final.value(unknown.name))
+
+
+def _instead(
+    whole: Evidence,
+    final: Found,
+    effect: str,
+    band: Sequence[Unknown],
+    free: Sequence[Unknown],
+) -> tuple[str, ...]:
+    """What does as well as an effect, where it is `free`; nothing where the effect is missed, or
+    was not missed before either: a gap that is wrong within its band."""
+    names = {u.name for u in free}
+    unknowns = [_let_go(u) if u.name in names else u for u in final.unknowns]
+    usual = [_let_go(u) if u.name in names else u for u in band]
+    more = seek(whole, final.model, unknowns, final.sigma, iterations=WITH)
+    try:
+        less = without_effect(whole, more, effect, usual, iterations=WITHOUT)
+        held = without_effect(whole, final, effect, band)
+    except EffectError:  # the others need it
+        return ()
+    if is_needed(more, less) or not is_needed(final, held):
+        return ()
+    beyond = [u.effect for u in free if not u.low <= less.value(u.name) <= u.high]
+    return tuple(beyond or (u.effect for u in free))
+
+
+def _let_go(unknown: Unknown) -> Unknown:
+    low, high = WIDE * unknown.low, WIDE * unknown.high
+    return replace(unknown, low=low, high=high, deviation=np.inf)

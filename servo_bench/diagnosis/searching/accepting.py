@@ -31,6 +31,7 @@ from servo_bench.diagnosis.searching.hypotheses import (
     VEHICLE,
     Hypothesis,
 )
+from servo_bench.diagnosis.searching.in_two import in_two
 from servo_bench.diagnosis.searching.joint import (
     Named,
     is_worth_it,
@@ -127,7 +128,17 @@ def rounds_of(
         failed.append(played)
         accepted = accepted_of(played, len(named), right=right) or acts_again(quick, played)
         accepted = with_a_name(accepted, played, scales, len(named), right=right)
-        if accepted is not None and (beside is now or _is_lower(accepted.found, now)):
+        two = None
+        if accepted is None and not (named or absorbed or turns) and missed > RIGHT:
+            two = in_two(quick, played, asked, sizes, told)
+        if two is not None:
+            rounds.append(two.played)
+            named += [_named(two.first, played), _named(two.second, two.played)]
+            now, turns, failed = two.second.found, [], []
+            beside = with_coasting(quick, now)
+            taken = class_of(two.first.effect) | class_of(two.second.effect)
+            open_ = asked = [h for h in open_ if h.effect not in taken]
+        elif accepted is not None and (beside is now or _is_lower(accepted.found, now)):
             one = _named(accepted, played)
             worth = worth_a_name(one, accepted.found, scales)
             named += worth

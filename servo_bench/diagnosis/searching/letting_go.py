@@ -19,7 +19,9 @@ from servo_bench.diagnosis.searching.contenders import REFINES
 from servo_bench.diagnosis.searching.joint import Named, is_needed, without_effect
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unknowns import WIDE, Unknown
+from sim_rig.effects import find_effect
 from sim_rig.errors import EffectError
+from sim_rig.model import Model
 
 AT_ITS_END = 0.95
 """Of its band, on which a nuisance is held back by nothing but that."""
@@ -79,7 +81,8 @@ def _instead(
     names = {u.name for u in free}
     unknowns = [_let_go(u) if u.name in names else u for u in final.unknowns]
     usual = [_let_go(u) if u.name in names else u for u in band]
-    more = seek(whole, final.model, unknowns, final.sigma, iterations=WITH)
+    start = _in_its_shape(final.model, effect)
+    more = seek(whole, start, unknowns, final.sigma, iterations=WITH)
     try:
         less = without_effect(whole, more, effect, usual, iterations=WITHOUT)
         held = without_effect(whole, final, effect, band)
@@ -89,6 +92,17 @@ def _instead(
         return ()
     beyond = [u.effect for u in free if not u.low <= less.value(u.name) <= u.high]
     return tuple(beyond or (u.effect for u in free))
+
+
+def _in_its_shape(model: Model, effect: str) -> Model:
+    """The model where what an effect refines turns as sharply: its own shape is open in no fit."""
+    plain = REFINES.get(effect)
+    if plain is None or plain not in model.effects:
+        return model
+    strengths = {*find_effect(effect).strengths, *find_effect(plain).strengths}
+    mine, its = (model.effects[name]._asdict() for name in (plain, effect))
+    shape = {n: v for n, v in its.items() if n in mine and n not in strengths}
+    return model.with_effect(plain, **{**mine, **shape})
 
 
 def _let_go(unknown: Unknown) -> Unknown:

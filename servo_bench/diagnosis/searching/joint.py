@@ -105,8 +105,12 @@ def needed_vehicle(
 
 def is_needed(final: Found, less: Found) -> bool:
     """Whether a joint fit misses what was taken out of it."""
-    share = 1.0 - final.errors.cost(final.sigma) / less.errors.cost(final.sigma)
-    return _advantage(final, less) > NEEDED_Z and share > NEEDED_SHARE
+    return _advantage(final, less) > NEEDED_Z and share_of(final, less) > NEEDED_SHARE
+
+
+def share_of(final: Found, less: Found) -> float:
+    """What it takes of the cost that is there without it."""
+    return 1.0 - final.errors.cost(final.sigma) / less.errors.cost(final.sigma)
 
 
 def _advantage(final: Found, less: Found) -> float:

@@ -4,7 +4,7 @@ Every fit has some numbers free within bands (`unknowns.nuisances`). Where the c
 effect of that name, more of it is a cause, which has been asked beside all the others. Where it was
 left out, more of it can only end at its band's end, and a neighbour may take the rest: a lag what a
 delay lacks, a gain what damping lacks, friction that warms what Coulomb friction lacks. So those
-bands are let go, and a cause that the joint fit does not miss any more has no name.
+bands are let go, and a cause that is not missed then, or for little, has no name.
 """
 
 from collections.abc import Collection, Sequence
@@ -16,7 +16,7 @@ import numpy as np
 from servo_bench.diagnosis.comparing.evidence import Evidence
 from servo_bench.diagnosis.searching.classes import class_of
 from servo_bench.diagnosis.searching.contenders import REFINES
-from servo_bench.diagnosis.searching.joint import Named, is_needed, without_effect
+from servo_bench.diagnosis.searching.joint import Named, is_needed, share_of, without_effect
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unknowns import WIDE, Unknown
 from sim_rig.effects import find_effect
@@ -25,6 +25,9 @@ from sim_rig.model import Model
 
 AT_ITS_END = 0.95
 """Of its band, on which a nuisance is held back by nothing but that."""
+KEEPS = 0.3
+"""Of the share that a cause takes: what is left of it beside what was let go. A gain that stood in
+for damping kept 0.13, causes that were there 0.9 and more."""
 WITH, WITHOUT = 3, 4
 """Iterations of a search with every cause, and of one without, which has further to go."""
 
@@ -88,7 +91,8 @@ def _instead(
         held = without_effect(whole, final, effect, band)
     except EffectError:  # the others need it
         return ()
-    if is_needed(more, less) or not is_needed(final, held):
+    loses = share_of(more, less) < KEEPS * share_of(final, held)
+    if not is_needed(final, held) or (is_needed(more, less) and not loses):
         return ()
     beyond = [u.effect for u in free if not u.low <= less.value(u.name) <= u.high]
     return tuple(beyond or (u.effect for u in free))

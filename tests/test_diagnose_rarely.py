@@ -1,5 +1,8 @@
 """What acts a few times only: a clamp that the validation never asks for."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -7,6 +10,7 @@ from numpy.typing import NDArray
 from servo_bench.diagnosis.comparing.evidence import quick_evidence
 from servo_bench.diagnosis.judging.judgement import verdict_of
 from servo_bench.diagnosis.searching.finding import find_causes
+from servo_bench.diagnosis.searching.rarely import acts_again
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, STANDSTILL, VALIDATION, recorded
 
@@ -59,3 +63,13 @@ def test_what_comes_after_the_beginning_is_neither_fitted_nor_held_out() -> None
     assert not (came_after & held_out).any()
     assert after.group[came_after].min() >= seen.group.max()
     assert after.group[came_after].max() <= held.group[held_out].min()
+
+
+def test_where_nothing_came_after_the_beginning_nothing_acts_again() -> None:
+    """A recording that is no longer than its own quick look, whole or cut."""
+    empty = SimpleNamespace(cost=lambda _: 0.0)
+    quick: Any = SimpleNamespace(after=lambda _: (empty, empty))
+    model = SimpleNamespace(model=MODEL)
+    clamp = SimpleNamespace(seen_gain=0.2, seen_z=5.0, held_gain=0.0, found=model)
+    played: Any = SimpleNamespace(contenders=(clamp,), base=model, sigma=None)
+    assert acts_again(quick, played) is None

@@ -240,24 +240,36 @@ def test_a_refinement_that_leads_by_chance_gives_way_to_what_it_refines(
     assert _is_alike(unlike, one, plain) is gives_way
 
 
-@pytest.mark.parametrize(
-    ("bristle_rad", "gives_way", "near"),
-    [(1.2e-5, True, True), (3e-5, False, True), (1e-4, False, False)],
-)
-def test_short_bristles_are_coulomb_frictions_or_named_beside_it(
-    bristle_rad: float, gives_way: bool, near: bool
-) -> None:
+@pytest.mark.parametrize(("bristle_rad", "gives_way"), [(1.2e-5, True), (3e-5, False)])
+def test_bristles_that_only_slide_are_coulomb_friction(bristle_rad: float, gives_way: bool) -> None:
     """However far they lead: here in every block alike."""
     costs = 10.0 + 0.2 * np.random.default_rng(5).standard_normal((2, 40))
     sticks = MODEL.with_effect("pre_sliding", torque_nm=0.01, breakaway_angle_rad=bristle_rad)
     found: Any = SimpleNamespace(model=sticks)
     one: Any = SimpleNamespace(effect="pre_sliding", costs=costs[0] - 2.0, found=found)
     plain: Any = SimpleNamespace(effect="coulomb", costs=costs[1])
-    both = SimpleNamespace(likeness=lambda *_: 0.97, contenders=(one, plain))
-    alike: Any = both
+    alike: Any = SimpleNamespace(likeness=lambda *_: 0.97)
     assert _is_alike(alike, one, plain) is gives_way
-    assert (plain in Round.near(alike, one)) is near
-    assert (one in Round.near(alike, plain)) is True
+
+
+@pytest.mark.parametrize(
+    ("leads", "likeness", "near"),
+    [(0.5, 0.97, True), (0.5, 0.9, False), (2.0, 0.97, False)],
+)
+def test_who_is_hardly_behind_is_a_rival_however_sure_that_is(
+    leads: float, likeness: float, near: bool
+) -> None:
+    """Of 90 that a block of 100 loses half, or two, in every one alike."""
+    costs = np.full(40, 10.0)
+    one: Any = SimpleNamespace(effect="transport_delay", costs=costs, total=costs.sum())
+    behind: Any = SimpleNamespace(
+        effect="current_loop_lag", costs=costs + leads, total=(costs + leads).sum()
+    )
+    played: Any = SimpleNamespace(
+        likeness=lambda *_: likeness, contenders=(one, behind), base_costs=np.full(40, 100.0)
+    )
+    assert (behind in Round.near(played, one)) is near
+    assert one in Round.near(played, behind) or likeness < 0.8
 
 
 @pytest.mark.parametrize(

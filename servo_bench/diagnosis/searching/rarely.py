@@ -25,7 +25,7 @@ def acts_again(quick: Evidence, played: Round) -> Contender | None:
             continue
         base, found = quick.after([played.base.model, one.found.model])
         before, after = base.cost(played.sigma), found.cost(played.sigma)
-        if after > (1.0 - MUCH) * before:
+        if not after < (1.0 - MUCH) * before:  # nor where nothing came after the beginning
             continue
         z = block_z(found.costs(played.sigma), base.costs(played.sigma))
         held = replace(one, held=found, held_gain=1.0 - after / before, held_z=z)

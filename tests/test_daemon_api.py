@@ -20,7 +20,7 @@ from servo_bench.catalogue import beside as beside_files
 from servo_bench.catalogue import index
 from servo_bench.catalogue.beside import replace_json
 from servo_bench.clock import NS_PER_S
-from servo_bench.daemon import api, core
+from servo_bench.daemon import api, requests
 from servo_bench.daemon.api import build_app
 from servo_bench.daemon.config import load_bench
 from servo_bench.daemon.core import Daemon
@@ -138,7 +138,7 @@ def test_a_full_disk_is_said_before_anything_waits(
     client: AsgiClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     usage = shutil.disk_usage("/")._replace(free=1 << 20)
-    monkeypatch.setattr(core.shutil, "disk_usage", lambda _: usage)
+    monkeypatch.setattr(requests.shutil, "disk_usage", lambda _: usage)
     assert "Make room" in problem(client.post("/api/runs", json=RUN), 507)
     assert client.get("/api/status").json()["queue"] == []
 
@@ -191,15 +191,15 @@ def test_the_first_who_stops_stays_named_until_somebody_arms(tmp_path: Path) -> 
     daemon.stop("Ada (smoke)")
     for later in (
         lambda: daemon.stop("an operator at the page"),
-        lambda: daemon._fail("the drive is in fault"),
-        lambda: daemon._hold("stopped by SIGTERM: 3 of 9 slots played."),
+        lambda: daemon.condition.fail("the drive is in fault"),
+        lambda: daemon.condition.hold("stopped by SIGTERM: 3 of 9 slots played."),
     ):
         later()
         assert why() == "stopped by Ada (smoke)"
     assert "in fault" in daemon.status()["fault"]["sentence"]
-    daemon.arm("Ada")
+    daemon.condition.arm("Ada")
     assert (why(), daemon.status()["held"]) == ("", False)
-    daemon._fail("the wire is cut")
+    daemon.condition.fail("the wire is cut")
     daemon.stop("Bob")
     assert why() == "a fault"
 

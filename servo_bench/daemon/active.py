@@ -87,6 +87,16 @@ class ActiveRun:
         return last_words(self.folder)
 
 
+def without_a_word(run: ActiveRun) -> RunResult:
+    """What is said of a run whose runner was killed."""
+    words = run.last_words()
+    left = "what it recorded until then is kept" if run.job.out.exists() else "nothing was recorded"
+    said = f" It last said: {words}." if words else ""
+    return RunResult(
+        "cut", f"the run's process was killed; the bus process stopped the rig, and {left}.{said}"
+    )
+
+
 def result_in(folder: Path) -> RunResult | None:
     """The result that a runner has left in its folder."""
     table = read_json(folder / RESULT)

@@ -251,13 +251,13 @@ async def stop(daemon: Served, request: Request, asked: m.StopRequest | None = N
     """Stop the rig now and hold the queue. Needs no turn, and may be asked any number of times."""
     by = (asked or m.StopRequest()).words(elsewhere=elsewhere(request.client))
     standing = daemon.stop(by)
-    return m.Stopped(standing=standing, state=daemon.state)
+    return m.Stopped(standing=standing, state=daemon.condition.state)
 
 
 @api.post("/arm")
 async def arm(daemon: Served, asked: m.ArmRequest) -> m.Status:
     """Clear a fault and let the queue go on: somebody has looked at the rig."""
-    daemon.arm(asked.operator)
+    daemon.condition.arm(asked.operator)
     return m.Status.model_validate(daemon.status())
 
 

@@ -6,10 +6,8 @@ anything goes wrong: the rig is stopped, the queue is held, only then is anythin
 """
 
 import asyncio
-import shutil
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +16,19 @@ from servo_bench.catalogue.beside import Notes, write_notes
 from servo_bench.clock import NS_PER_S, monotonic_ns
 from servo_bench.daemon import active as runs
 from servo_bench.daemon.active import ActiveRun
+from servo_bench.daemon.condition import Condition
 from servo_bench.daemon.config import Bench
 from servo_bench.daemon.job import RunJob, RunResult
 from servo_bench.daemon.jobs import Job, Jobs, Kind
 from servo_bench.daemon.live import ReplaySource, Source, TableSource
 from servo_bench.daemon.log import Log
-from servo_bench.daemon.machine import PLAYING, Event, State, after
-from servo_bench.daemon.problems import DISK_FULL, ApiError
+from servo_bench.daemon.machine import Event, State
+from servo_bench.daemon.problems import ApiError
 from servo_bench.daemon.processes import wait_for_bus_processes
 from servo_bench.daemon.queue import Queue, Waiting
 from servo_bench.daemon.requests import (
-    SPARE_BYTES,
     Overrides,
+    check_room,
     chosen_experiment,
     new_file,
     recording_bytes,
@@ -42,7 +41,6 @@ from servo_bench.run.lock import Holder, Lock, rig_lock_path, take
 WATCH_EVERY_S = 0.05
 BUS_SILENT_S = 0.8
 """A bus process that has played no slot for so long is taken for gone."""
-RESTARTED = "the daemon was started: look at the rig, then arm the queue"
 
 
 class Daemon:
@@ -52,14 +50,9 @@ class Daemon:
         self.bench = bench
         self.catalogue = Catalogue(bench.recordings)
         self.queue = Queue(bench.state, bench.run.max_queue)
-        self.jobs = Jobs(bench.run.cpu, self._change, self.refresh)
+        self.condition = Condition(log, bench.recordings)
+        self.jobs = Jobs(bench.run.cpu, self.condition.change, self.refresh)
         self.log = log
-        self.version = 0
-        """Counts the changes that a viewer should be told at once."""
-        self.state = State.IDLE
-        self.held: str | None = RESTARTED
-        self.fault: dict[str, str] | None = None
-        self.last: dict[str, str] | None = None
         self.reachable: bool | None = None
         self._now_ns = now_ns
         self._runs = bench.state / "runs"
@@ -118,7 +111,7 @@ class Daemon:
         except OSError:
             return False
         self._active = left
-        self._fire(Event.STARTED)
+        self.condition.fire(Event.STARTED)
         self.log.warning("run found", run=left.asked.id)
         return True
 
@@ -127,11 +120,11 @@ class Daemon:
         pid = left.runner_pid
         if pid is not None:
             await asyncio.to_thread(wait_for_bus_processes, pid, self._stop_takes_s(left))
-        result = left.result() or _without_a_word(left)
+        result = left.result() or runs.without_a_word(left)
         self.log.warning("run left over", run=left.asked.id, outcome=result.outcome)
-        self.last = {"id": left.asked.id, "sentence": result.sentence}
+        self.condition.tell(left.asked.id, result.sentence)
         if result.outcome in ("faulted", "cut"):
-            self._fail(result.sentence)
+            self.condition.fail(result.sentence)
         runs.discard(left.folder)
 
     # -- what operators do --------------------------------------------------------------------
@@ -143,9 +136,9 @@ class Daemon:
         the disk would not hold it.
         """
         job = await asyncio.to_thread(self._job, asked)  # a long schedule must not hold up a stop
-        self._check_room(recording_bytes(job.experiment))
+        check_room(self.bench.recordings, recording_bytes(job.experiment))
         position = self.queue.add(asked)
-        self._change()
+        self.condition.change()
         self.log.info("run submitted", run=asked.id, operator=asked.operator)
         return position
 
@@ -171,38 +164,27 @@ class Daemon:
             raise ApiError(
                 404, "not-waiting", f"no run {run_id[:40]!r} waits: it was played, or removed."
             )
-        self._change()
+        self.condition.change()
 
     def stop(self, by: str) -> bool:
         """Stop the rig and hold the queue; whether the rig is known to stand already."""
         run = self._active
-        if run is not None and self.state in PLAYING:
+        if run is not None and self.condition.playing:
             run.ask_stop(by)
-            self._fire(Event.STOP_ASKED)
+            self.condition.fire(Event.STOP_ASKED)
         self._replay = None
-        self._hold(f"stopped by {by}")
-        self.log.warning("stop", by=by, state=self.state)
-        return self.state not in PLAYING
-
-    def arm(self, by: str) -> None:
-        """Clear a fault and let the queue go on; ApiError while the rig is being stopped."""
-        if self.state is State.STOPPING:
-            raise ApiError(
-                409, "stopping", "the rig is being stopped: arm the queue when it stands."
-            )
-        self.held, self.fault = None, None
-        self._fire(Event.ARMED)
-        self.log.warning("armed", by=by)
-        self._change()
+        self.condition.hold(f"stopped by {by}")
+        self.log.warning("stop", by=by, state=self.condition.state)
+        return not self.condition.playing
 
     def play_back(self, run_id: str, recording: Recording, speed: float, start_s: float) -> None:
         """Show a recording on the page. ApiError while the rig plays."""
-        if self.state in PLAYING:
+        if self.condition.playing:
             raise ApiError(
                 409, "playing", "the rig plays, and its page shows that. Replay when it stands."
             )
         self._replay = (run_id, speed, ReplaySource(recording, speed, start_s, self._now_ns))
-        self._change()
+        self.condition.change()
 
     def start_job(self, kind: Kind, run_id: str, recording: Path) -> Job:
         """Begin work on a recording. ApiError while it is being written, or where too many wait."""
@@ -215,7 +197,7 @@ class Daemon:
     def end_play_back(self) -> None:
         """Show nothing, or the rig again."""
         self._replay = None
-        self._change()
+        self.condition.change()
 
     # -- what viewers see ---------------------------------------------------------------------
 
@@ -230,11 +212,11 @@ class Daemon:
 
     def status(self) -> dict[str, Any]:
         """Everything that can change, as the API's Status."""
-        run, replay = self._active, self._replay
+        run, replay, now = self._active, self._replay, self.condition
         return {
-            "state": self.state.value,
-            "held": self.held is not None,
-            "held_reason": self.held or "",
+            "state": now.state.value,
+            "held": now.held is not None,
+            "held_reason": now.held or "",
             "holder": self._holder(),
             "run": runs.status_table(run) if run is not None else None,
             "queue": [
@@ -242,9 +224,9 @@ class Daemon:
                 for entry in self.queue
             ],
             "limits": self.bench.rig.limits.model_dump(),
-            "fault": self.fault,
+            "fault": now.fault,
             "bus_alive": run is None or not run.silent,
-            "last": self.last,
+            "last": now.last,
             "replay": {"run": replay[0], "speed": replay[1]} if replay else None,
             "jobs": [asdict(job) for job in self.jobs.open],
         }
@@ -276,7 +258,9 @@ class Daemon:
         run = self._active
         if run is not None:
             self._look_at(run)
-        elif self.state is State.IDLE and self.held is None and not self._closing:
+        elif (
+            self.condition.state is State.IDLE and self.condition.held is None and not self._closing
+        ):
             waiting = self.queue.first()
             if waiting is not None:
                 await self._start(waiting)
@@ -294,11 +278,11 @@ class Daemon:
             run.silent = False
         if slot > 0:
             self.reachable = True
-            self._fire(Event.MOVED)
+            self.condition.fire(Event.MOVED)
         if table.stop_asked or slot >= run.slots - 1:
-            self._fire(Event.STOP_ASKED)
+            self.condition.fire(Event.STOP_ASKED)
         patience_ns = max(BUS_SILENT_S, 3.0 * run.job.experiment.period_s) * NS_PER_S
-        if self.state is State.RUNNING and now_ns - run.slot_since_ns > patience_ns:
+        if self.condition.state is State.RUNNING and now_ns - run.slot_since_ns > patience_ns:
             run.silent = True
             self.log.error("the bus process is silent", run=run.asked.id, slot=slot)
             self.stop("the silence of the bus process")
@@ -307,15 +291,19 @@ class Daemon:
         """Begin the run whose turn it is; what cannot begin is a fault, and the queue is held."""
         try:
             job = await asyncio.to_thread(self._job, asked)
-            self._check_room(recording_bytes(job.experiment))
+            check_room(self.bench.recordings, recording_bytes(job.experiment))
             run = await asyncio.to_thread(runs.prepare, self._runs / asked.id, asked, job)
-            if self.held is not None or self._closing or self.queue.remove(asked.id) is None:
+            if (
+                self.condition.held is not None
+                or self._closing
+                or self.queue.remove(asked.id) is None
+            ):
                 runs.discard(run.folder)  # stopped, or taken out of the queue, meanwhile
                 return
             write_notes(job.out, Notes(asked.notes, (), asked.operator))
             self._active = run
             self._replay = None
-            self._fire(Event.STARTED)
+            self.condition.fire(Event.STARTED)
             if self._rig_lock is None:
                 self._rig_lock = take(self._rig_lock_path, Holder(self._holder()))
             await runs.launch(
@@ -325,9 +313,9 @@ class Daemon:
         except (BenchError, OSError) as error:
             self._active = None
             runs.discard(self._runs / asked.id)
-            self._fire(Event.STARTED)
+            self.condition.fire(Event.STARTED)
             self._drop(asked)
-            self._fail(f"{asked.name} could not begin: {error}")
+            self.condition.fail(f"{asked.name} could not begin: {error}")
 
     def _drop(self, asked: Waiting) -> None:
         """Take a run that cannot begin out of the queue, if the disk lets it."""
@@ -357,20 +345,20 @@ class Daemon:
         result = run.result()
         pid = run.runner_pid
         if result is None and pid is not None:
-            self._hold("the run's process died")
-            self._fire(Event.STOP_ASKED)
+            self.condition.hold("the run's process died")
+            self.condition.fire(Event.STOP_ASKED)
             await asyncio.to_thread(wait_for_bus_processes, pid, self._stop_takes_s(run))
             result = run.result()
-        result = result or _without_a_word(run)
+        result = result or runs.without_a_word(run)
         if result.outcome in ("faulted", "cut"):
             run.silent = True
-            self._hold("a fault")
-            self._fire(Event.STOP_ASKED)
+            self.condition.hold("a fault")
+            self.condition.fire(Event.STOP_ASKED)
             result = await self._with_standing(run, result)
         if run.process is not None:
             await run.process.wait()
         self._let_go_of(run)
-        self.last = {"id": run.asked.id, "sentence": result.sentence}
+        self.condition.tell(run.asked.id, result.sentence)
         self.log.info("run ended", run=run.asked.id, **asdict(result))
         await self.refresh()
         runs.discard(run.folder)
@@ -399,60 +387,23 @@ class Daemon:
     async def _conclude(self, run: ActiveRun, result: RunResult) -> None:
         self._active = None
         if result.outcome in ("faulted", "cut"):
-            self._fail(result.sentence)
+            self.condition.fail(result.sentence)
             return
         if result.outcome != "complete":
-            self._hold(result.sentence)
+            self.condition.hold(result.sentence)
         if result.outcome == "nothing":
-            self._fire(Event.NOTHING)
+            self.condition.fire(Event.NOTHING)
             return
-        self._fire(Event.ENDED)
+        self.condition.fire(Event.ENDED)
         if self.bench.run.analyse and not self._closing:
             self._spawn(self._analyse(run))
         else:
-            self._fire(Event.ANALYSED)
+            self.condition.fire(Event.ANALYSED)
 
     async def _analyse(self, run: ActiveRun) -> None:
         job = await self.jobs.ended(self.jobs.start("analyse", run.asked.id, run.job.out))
-        if self.last is not None and self.last["id"] == run.asked.id:
-            sentence = f"{self.last['sentence']} Analysis: {job.sentence}"
-            self.last = {"id": run.asked.id, "sentence": sentence}
-        self._fire(Event.ANALYSED)
-
-    def _fail(self, sentence: str) -> None:
-        at_utc = datetime.now(UTC).isoformat(timespec="seconds")
-        sentence = sentence.replace(f"{self.bench.recordings}/", "")
-        self.fault = {"sentence": sentence, "at_utc": at_utc}
-        self._hold("a fault")
-        if self.state is State.IDLE:
-            self._fire(Event.STARTED)  # it is told of a run that nobody saw begin
-        self._fire(Event.FAILED)
-        self.log.error("fault", sentence=sentence)
-
-    def _hold(self, cause: str) -> None:
-        """Hold the queue. The first cause stays until somebody arms it, whatever comes of it."""
-        if self.held in (None, RESTARTED):
-            self.held = cause
-        self._change()
-
-    def _fire(self, event: Event) -> None:
-        state = after(self.state, event)
-        if state is not self.state:
-            self.log.info("state", before=self.state, after=state, event_text=event.value)
-            self.state = state
-            self._change()
-
-    def _change(self) -> None:
-        self.version += 1
-
-    def _check_room(self, needed: int) -> None:
-        free = shutil.disk_usage(self.bench.recordings).free
-        if free < needed + SPARE_BYTES:
-            raise ApiError(
-                *DISK_FULL,
-                f"the recording may need {needed / 1e6:.1f} MB, and {free / 1e6:.1f} MB are free "
-                f"of which {SPARE_BYTES / 1e6:.0f} MB are kept for the rest. Make room first.",
-            )
+        self.condition.tell_more(run.asked.id, f"Analysis: {job.sentence}")
+        self.condition.fire(Event.ANALYSED)
 
     async def refresh(self) -> None:
         """Bring the catalogue up to date; where that cannot be (a full disk) it stays as it was."""
@@ -490,13 +441,3 @@ def _standing(job: RunJob) -> str:
     from servo_bench.daemon.aftermath import standing_sentence  # noqa: PLC0415 - all drivers
 
     return standing_sentence(job.rig, job.experiment.period_s)
-
-
-def _without_a_word(run: ActiveRun) -> RunResult:
-    """What is said of a run whose runner was killed."""
-    words = run.last_words()
-    left = "what it recorded until then is kept" if run.job.out.exists() else "nothing was recorded"
-    said = f" It last said: {words}." if words else ""
-    return RunResult(
-        "cut", f"the run's process was killed; the bus process stopped the rig, and {left}.{said}"
-    )

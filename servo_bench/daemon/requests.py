@@ -8,6 +8,7 @@ before it waits, and again before it plays.
 import math
 import re
 import secrets
+import shutil
 from datetime import UTC, datetime
 from pathlib import Path, PurePath
 from typing import Any
@@ -16,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from servo_bench.catalogue import run_id
 from servo_bench.daemon.config import Bench
-from servo_bench.daemon.problems import ApiError
+from servo_bench.daemon.problems import DISK_FULL, ApiError
 from servo_bench.errors import ConfigError
 from servo_bench.excitation.experiment import Experiment, experiment_from_table
 from servo_bench.recording.recording import SAMPLE_DTYPE
@@ -88,6 +89,17 @@ def _change(sequence: dict[str, Any], key: str, value: float) -> None:
 def recording_bytes(experiment: Experiment) -> int:
     """The largest that its recording can become."""
     return experiment.schedule().slots * (SAMPLE_DTYPE.itemsize + 64)
+
+
+def check_room(folder: Path, needed: int) -> None:
+    """ApiError where the folder's disk has no room for so many bytes and what must stay free."""
+    free = shutil.disk_usage(folder).free
+    if free < needed + SPARE_BYTES:
+        raise ApiError(
+            *DISK_FULL,
+            f"the recording may need {needed / 1e6:.1f} MB, and {free / 1e6:.1f} MB are free "
+            f"of which {SPARE_BYTES / 1e6:.0f} MB are kept for the rest. Make room first.",
+        )
 
 
 def new_file(folder: Path, name: str) -> tuple[str, str]:

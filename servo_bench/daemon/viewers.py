@@ -51,8 +51,8 @@ class Viewers:
         version, told_s = -1, 0.0
         while not listening.done():
             now_s = loop.time()
-            if version != self._daemon.version or now_s - told_s >= STATUS_EVERY_S:
-                version, told_s = self._daemon.version, now_s
+            if version != self._daemon.condition.version or now_s - told_s >= STATUS_EVERY_S:
+                version, told_s = self._daemon.condition.version, now_s
                 await socket.send_text(self._status())
             block = viewer.frame(self._daemon.source(), HISTORY_ROWS)
             if block is not None:

@@ -7,6 +7,7 @@ from scipy.integrate import solve_ivp
 from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.searching.coasting import (
     coasting,
+    coasting_or_rested,
     given_back,
     is_coasting,
     slowing_rad_s2,
@@ -41,6 +42,10 @@ def test_a_load_that_coasts_is_found_to_do_so() -> None:
     assert twist(seen, better) < 0.5
     assert is_coasting(better.model)
     assert slowing_rad_s2(better.model) == pytest.approx(SLOWED_RAD_S2, rel=0.2)
+    assert coasting_or_rested(seen, better, found) is better
+    assert coasting_or_rested(seen, found, better) is better, "the twist is right in it"
+    worse = better._replace(errors=found.errors)
+    assert coasting_or_rested(seen, worse, found) is found
 
 
 @pytest.mark.parametrize("hidden", [MODEL, MODEL.with_effect("inertia_error", error_fraction=0.2)])

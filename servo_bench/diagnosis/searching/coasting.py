@@ -63,6 +63,14 @@ def with_coasting(whole: Evidence, final: Found, *, to_ask: bool = True) -> Foun
     return found if to_ask or found.errors.cost(final.sigma) < rested else final
 
 
+def coasting_or_rested(whole: Evidence, coasts: Found, rested: Found) -> Found:
+    """The search beside a load that coasts, which was for asking, where that is to be told as well:
+    else the one in which the load stands."""
+    told = _only_the_twist(whole, rested, WRONG)
+    lower = coasts.errors.cost(rested.sigma) < rested.errors.cost(rested.sigma)
+    return coasts if told and lower else rested
+
+
 def _start(whole: Evidence, final: Found) -> Model | None:
     """The best of some loads on some faces, in some gaps; None where one cannot be simulated."""
     try:

@@ -40,7 +40,12 @@ from servo_bench.diagnosis.reading.reading import Reading
 from servo_bench.diagnosis.reading.subdivision import load_lines
 from servo_bench.diagnosis.searching.accepting import rounds_of
 from servo_bench.diagnosis.searching.bounces import bounces
-from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting, with_coasting
+from servo_bench.diagnosis.searching.coasting import (
+    OTHERWISE,
+    coasting_or_rested,
+    is_coasting,
+    with_coasting,
+)
 from servo_bench.diagnosis.searching.contenders import Round
 from servo_bench.diagnosis.searching.gate import (
     is_noted,
@@ -238,8 +243,11 @@ def _coasting_at_last(
     whole: Evidence, final: Found, plain: Found, *, nothing: bool
 ) -> tuple[Found, Found]:
     """The final fit and the plain one, with a load that coasts where that is so: where `nothing`
-    was found they are the same."""
-    final = with_coasting(whole, plain if nothing else final, to_ask=False)
+    was found they are the same, and what coasting was asked with is not sought once more."""
+    if nothing and is_coasting(final.model):
+        final = coasting_or_rested(whole, final, plain)
+    else:
+        final = with_coasting(whole, plain if nothing else final, to_ask=False)
     return final, final if nothing else plain
 
 

@@ -1,10 +1,14 @@
 """A cause that takes the place of one that was not asked: its name does not stand."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 
 from servo_bench.diagnosis.judging.judgement import verdict_of
+from servo_bench.diagnosis.searching import letting_go
 from servo_bench.diagnosis.searching.finding import find_causes
-from servo_bench.diagnosis.searching.letting_go import stands_at_its_end
+from servo_bench.diagnosis.searching.letting_go import stands_at_its_end, without_stand_ins
 from servo_bench.diagnosis.searching.unknowns import nuisances
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, recorded
@@ -41,3 +45,25 @@ def test_a_number_is_held_back_at_either_end_of_a_band() -> None:
     assert not stands_at_its_end(damping, 0.0)
     assert stands_at_its_end(inertia, inertia.low)
     assert not stands_at_its_end(inertia, 0.5 * inertia.low)
+
+
+@pytest.mark.parametrize(
+    ("effect", "instead", "kept"),
+    [
+        ("coupling_compliance", ("viscous",), False),
+        ("coupling_compliance", (), True),
+        ("coulomb", ("viscous",), True),  # a law of its own, asked beside the damping
+    ],
+)
+def test_a_coupling_that_a_little_more_damping_would_be_has_no_name(
+    monkeypatch: pytest.MonkeyPatch, effect: str, instead: tuple[str, ...], kept: bool
+) -> None:
+    monkeypatch.setattr(letting_go, "_holds", lambda *_: True)
+    monkeypatch.setattr(letting_go, "_instead", lambda *_: instead)
+    monkeypatch.setattr(letting_go, "without_effect", lambda *_: None)
+    one: Any = SimpleNamespace(effect=effect)
+    nothing: Any = None
+    final: Any = SimpleNamespace()
+    less, named = without_stand_ins(nothing, final, [one], nuisances(0.1, 0.02))
+    assert (named == [one]) is kept
+    assert (less is final) is kept

@@ -9,7 +9,7 @@ import pytest
 
 from servo_bench.diagnosis.judging.judgement import _explained, _has_a_name
 from servo_bench.diagnosis.judging.verdict import Cause
-from servo_bench.diagnosis.searching import rounds
+from servo_bench.diagnosis.searching import joint, rounds
 from servo_bench.diagnosis.searching.accepting import with_a_name
 from servo_bench.diagnosis.searching.contenders import Round, _is_alike
 from servo_bench.diagnosis.searching.gate import passes, passes_beside_coasting
@@ -296,3 +296,37 @@ def test_the_right_resonance_is_the_lowest_beside_a_load_that_coasts(
     several: Any = list(ends.values())
     chosen: Any = rounds._deepest(quick, several, effect)
     assert chosen.name == first
+
+
+@pytest.mark.parametrize(
+    ("small", "needed", "kept"), [(0, False, True), (1, False, False), (1, True, True)]
+)
+def test_a_cause_alone_is_needed_beside_what_is_too_small_for_a_name(
+    monkeypatch: pytest.MonkeyPatch, small: int, needed: bool, kept: bool
+) -> None:
+    """A clamp was accepted first, and friction too small for a name then took its place."""
+    fit = SimpleNamespace(model=MODEL, unknowns=(), errors=None)
+    for name in ("seek", "settle", "without_effect"):
+        monkeypatch.setattr(joint, name, lambda *_, **__: fit)
+    monkeypatch.setattr(joint, "is_needed", lambda *_: needed)
+    evidence: Any = None
+    now: Any = fit
+    one: Any = SimpleNamespace(effect="anti_windup")
+    _, named = joint.fit_jointly(evidence, now, [one], (), lambda _: None, small=small)
+    assert (named == [one]) is kept
+
+
+def test_what_every_rig_may_have_is_not_asked_whether_it_is_needed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A fit without it has it all the same, in its band."""
+    wider = MODEL.with_effect("backlash_width", change_rad=3e-4)
+    fit = SimpleNamespace(model=wider, unknowns=(), errors=None)
+    for name in ("seek", "settle"):
+        monkeypatch.setattr(joint, name, lambda *_, **__: fit)
+    evidence: Any = None
+    now: Any = fit
+    one: Any = SimpleNamespace(effect="backlash_width")
+    band = nuisances(0.1, 0.02)
+    _, named = joint.fit_jointly(evidence, now, [one], band, lambda _: None, small=1)
+    assert named == [one]

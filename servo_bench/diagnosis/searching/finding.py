@@ -67,7 +67,7 @@ from servo_bench.diagnosis.searching.late import (
     asked_late,
     unsure,
 )
-from servo_bench.diagnosis.searching.letting_go import Doubt, doubts
+from servo_bench.diagnosis.searching.letting_go import Doubt, doubts, without_stand_ins
 from servo_bench.diagnosis.searching.lighter import on_a_light_load
 from servo_bench.diagnosis.searching.reading_off import READ_OFF, with_readings
 from servo_bench.diagnosis.searching.readying import (
@@ -168,12 +168,12 @@ def find_causes(
     if lost.rows and heard_after_all(whole, told[0], now, block):
         recordings, held_out, lost = *told, LostCommands((), lost.changes)
         whole = evidence_of(recordings, now.model, block=block)
-    final, named = fit_jointly(whole, now, named, band, report)
+    final, named = fit_jointly(whole, now, named, band, report, small=len(absorbed))
     if named and ready.holes and recordings is ready.recordings:
         ready = filled_again(ready, final.model)
         recordings, held_out, told = ready.recordings, ready.held_out, ready.told
         whole = evidence_of(recordings, final.model, block=block)
-        final, named = fit_jointly(whole, final, named, band, report)
+        final, named = fit_jointly(whole, final, named, band, report, small=len(absorbed))
     final, named = run_off(whole, final, named, band, report)
     final, named = on_a_light_load(whole, final, named, band, report)
     plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
@@ -193,6 +193,7 @@ def find_causes(
         absorbed = [effect for effect in absorbed if effect != one.effect]
     if not is_coasting(final.model):  # its contact is no vehicle that a cause was tried on
         named += needed_vehicle(whole, final, named, band, report)
+    final, named = without_stand_ins(whole, final, named, band)
     named, small = _worth_telling(named, final, before, scales)
     absorbed += small
     # judged beside what is known now: a motor that sticks stands on the command's own steps

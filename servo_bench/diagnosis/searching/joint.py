@@ -54,9 +54,19 @@ class Named:
 
 
 def fit_jointly(
-    whole: Evidence, now: Found, named: list[Named], band: Sequence[Unknown], report: Told
+    whole: Evidence,
+    now: Found,
+    named: list[Named],
+    band: Sequence[Unknown],
+    report: Told,
+    *,
+    small: int = 0,
 ) -> tuple[Found, list[Named]]:
-    """Everything accepted on all that was recorded; what is not needed is taken out again."""
+    """Everything accepted on all that was recorded; what is not needed is taken out again.
+
+    One cause alone is needed; not so beside what was accepted and is too `small` for a name, which
+    may have taken its place since.
+    """
     final = seek(whole, now.model, now.unknowns, iterations=2, first=3, coarse=False)
     own = {u.effect for u in now.unknowns if u not in band}
     final = settle(whole, final, own, turns=3, coarse=False)
@@ -69,8 +79,8 @@ def fit_jointly(
         final = on_other_faces(whole, final, own)
     kept = list(named)
     for one in named:
-        if len(kept) < 2:
-            break
+        if len(kept) + small < 2 or _is_in_its_band(one.effect, final, band):
+            continue
         report(f"without {one.effect}")
         try:
             less = without_effect(whole, final, one.effect, band)
@@ -80,6 +90,12 @@ def fit_jointly(
             kept.remove(one)
             final = less
     return final, kept
+
+
+def _is_in_its_band(effect: str, final: Found, band: Sequence[Unknown]) -> bool:
+    """Whether every rig may have as much of it, so that a fit without it has it all the same."""
+    own = [u for u in band if u.effect == effect]
+    return bool(own) and all(u.low <= u.of(final.model) <= u.high for u in own)
 
 
 def own_unknowns(contender: Contender, effect: str) -> tuple[Unknown, ...]:

@@ -16,6 +16,7 @@ import numpy as np
 from servo_bench.diagnosis.comparing.evidence import Evidence
 from servo_bench.diagnosis.searching.classes import class_of
 from servo_bench.diagnosis.searching.contenders import REFINES
+from servo_bench.diagnosis.searching.hypotheses import SPRINGS, VEHICLE
 from servo_bench.diagnosis.searching.joint import Named, is_needed, share_of, without_effect
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unknowns import WIDE, Unknown
@@ -45,6 +46,22 @@ def stands_at_its_end(unknown: Unknown, value: float) -> bool:
         return False
     high = value > AT_ITS_END * unknown.high
     return high or (unknown.low < 0.0 and value < AT_ITS_END * unknown.low)
+
+
+def without_stand_ins(
+    whole: Evidence, final: Found, named: Sequence[Named], band: Sequence[Unknown]
+) -> tuple[Found, list[Named]]:
+    """The fit without couplings that are not missed where every band at whose end it stands is let
+    go: three free numbers take what a little more damping or lag would. Nothing is wrong then."""
+    kept = list(named)
+    for one in named:
+        if one.effect not in SPRINGS - {VEHICLE}:
+            continue
+        free = [u for u in band if _holds(u, one.effect, final)]
+        if free and _instead(whole, final, one.effect, band, free):
+            final = without_effect(whole, final, one.effect, band)
+            kept.remove(one)
+    return final, kept
 
 
 def doubts(

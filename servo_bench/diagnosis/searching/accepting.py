@@ -5,7 +5,7 @@ accepted   the best that is beyond chance; the plain cause before what only refi
 then       it is part of the base, and a load that coasts in its gap beside it; none of its class
            is asked any more
 after a    round in which nothing held what it promised, what promised less has its turn, while the
-           simulation is wrong by more than it may be
+           simulation is wrong by more than it may be; after the first, two at once (`in_two`)
 """
 
 from collections.abc import Sequence

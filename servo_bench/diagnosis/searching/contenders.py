@@ -26,14 +26,15 @@ the other less likeness is enough."""
 RIVAL_Z, LIKE, HARDLY = 3.0, 0.8, 0.01
 """What lies less behind, and changes so much the same, is a near rival; so is what is `ALIKE` and
 behind by a smaller share of what is gained, however alike the blocks are in that: scatter shrinks
-with the recording's length, and what laws leave out does not. A lag took 0.5 % more than a delay
-did where it was one (z of 5), bristles of 55 urad 0.7 % more than Coulomb friction (z of 15)."""
+with the recording's length, and what laws leave out does not. A delay took 0.5 % more than the lag
+that it was (z of 5), bristles of 55 urad 0.7 % more than Coulomb friction (z of 15)."""
 REFINES = {"pre_sliding": "coulomb", "thermal_friction": "coulomb", "stribeck": "coulomb"}
 """Friction of its own kind that Coulomb friction does nearly as well."""
 CLEARLY, BY_CHANCE = 4.0, 2.0
 SLIDING_RAD = 1.3e-5
 """Bristles that only slide: how Coulomb friction's own turn is shaped makes as much of a
-difference. Of true Coulomb friction they fitted up to 12 urad, of true ones of 24 urad, 14."""
+difference. Of true Coulomb friction they fitted up to 12 urad; true ones of 24 urad fitted 14 on a
+recording's beginning and less on all of it, and are Coulomb friction here."""
 
 
 @dataclass(frozen=True)

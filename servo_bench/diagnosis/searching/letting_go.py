@@ -4,7 +4,9 @@ Every fit has some numbers free within bands (`unknowns.nuisances`). Where the c
 effect of that name, more of it is a cause, which has been asked beside all the others. Where it was
 left out, more of it can only end at its band's end, and a neighbour may take the rest: a lag what a
 delay lacks, a gain what damping lacks, friction that warms what Coulomb friction lacks. So those
-bands are let go, and a cause that is not missed then, or for little, has no name.
+bands are let go, and a cause that is not missed then, or for little, has no name. A coupling fits a
+part of whatever is wrong: beside one all bands at whose end the fit stands are let go, asked or
+not.
 """
 
 from collections.abc import Collection, Sequence

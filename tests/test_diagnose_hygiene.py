@@ -112,6 +112,28 @@ def test_a_lattice_is_found_beneath_the_counts_of_an_encoder_without_noise() -> 
     assert found.quantum_rad == pytest.approx(quantum_rad, rel=1e-3)
 
 
+@pytest.mark.parametrize("counts", [2.1, 2.3, 2.6, 3.3])
+def test_a_lattice_of_little_more_than_two_counts_is_found(counts: float) -> None:
+    """Where no line of the counts themselves, nor of the histogram's bins, is taken for one."""
+    count_rad = math.tau / 65536
+    clean = recorded(MODEL, 21, slots=2500, noise_counts=0.0)
+    angle = np.array(clean["load_angle_rad"]) + 0.3 * count_rad * np.sin(
+        np.arange(clean["slot"].size)
+    )
+    counted = np.rint(_coarse(angle, counts * count_rad, 0.0) / count_rad) * count_rad
+    found = lattice(
+        compare(with_channels(clean, load_angle_rad=counted), MODEL, scales=SCALES), MODEL
+    )
+    assert found is not None
+    assert found.quantum_rad == pytest.approx(counts * count_rad, rel=1e-3)
+
+
+def test_no_lattice_stands_in_noise_on_the_counts_alone() -> None:
+    for seed in range(22, 27):
+        seen = recorded(MODEL, seed, slots=2000, noise_counts=0.6)
+        assert lattice(compare(seen, MODEL, scales=SCALES), MODEL) is None
+
+
 def test_an_angle_that_is_but_partly_on_a_lattice_has_none() -> None:
     """A third of the rows, as chips of equal size leave it: of one that an encoder makes this noise
     leaves nine tenths."""

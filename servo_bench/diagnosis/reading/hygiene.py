@@ -40,9 +40,14 @@ FINEST_QUANTUM_RAD, COARSEST_QUANTUM_RAD = 1.5e-4, 3e-3
 LATTICE, ABOUT_BINS = 5.0, 801
 """Mean of exp(2 pi j y / q) over its own rms at neighbouring q, which chance, and chips of equal
 size, bring to less than 4."""
+FEWEST_COUNTS = 2.05
+"""Of the encoder's own, in a lattice that it is rounded to before: of two nobody tells it."""
 HALF = 0.5
 """Of a lattice's clearness: what the command's own steps may have of it; and the least, of what
 noise leaves of a true one."""
+BY_CHANCE, BESIDE = 2.0, np.arange(2, 60)
+"""What the simulated angle has of any lattice, over its rms at these neighbours: where it stands
+still, it stands on many."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,10 +183,10 @@ def lattice(comparison: Comparison, model: Model) -> Lattice | None:
     lowest, highest = 1.0 / COARSEST_QUANTUM_RAD, 1.0 / FINEST_QUANTUM_RAD
     own = _own_quantum(rows.recording, angle)
     if own > 0.0:
-        highest = min(highest, 0.4 / own)
+        highest = min(highest, 1.0 / (FEWEST_COUNTS * own))
     if highest <= lowest:
         return None
-    frequencies, score = _spectrum(angle, travel, highest)
+    frequencies, score = _spectrum(angle, travel, highest, own)
     about = np.sqrt(uniform_filter1d(score**2, ABOUT_BINS))
     stands_out = (frequencies >= lowest) & (frequencies <= highest) & (score > LATTICE * about)
     if not stands_out.any():
@@ -191,11 +196,20 @@ def lattice(comparison: Comparison, model: Model) -> Lattice | None:
     near, step = np.linspace(frequency - 0.5 / travel, frequency + 0.5 / travel, 101, retstep=True)
     refined = np.abs(np.exp(2j * np.pi * np.outer(near, centred)).mean(axis=1))
     frequency, clear = float(near[np.argmax(refined)]), float(refined.max())
-    of_command = abs(np.exp(2j * np.pi * frequency * shown).mean())
+    of_command = _of_command(shown, frequency, travel)
     expected = _as_clear_as(1.0 / frequency, comparison.signals, rows.period_s)
     if of_command > HALF * clear or clear < HALF * expected:
         return None
     return Lattice(1.0 / frequency, _spread(centred, clear, float(step)) / frequency**2, clear)
+
+
+def _of_command(shown: Array, frequency: float, travel: float) -> float:
+    """How clear the lattice is in the simulated angle; nothing where it is no clearer than by
+    chance."""
+    near = frequency + np.concatenate([[0.0], BESIDE, -BESIDE]) / travel
+    clear, *beside = np.abs(np.exp(2j * np.pi * np.outer(near, shown)).mean(axis=1))
+    rms = float(np.sqrt(np.mean(np.square(beside))))
+    return float(clear) if clear > BY_CHANCE * rms else 0.0
 
 
 def _as_clear_as(quantum_rad: float, signals: Sequence[Signal], period_s: float) -> float:
@@ -215,11 +229,17 @@ def _spread(centred: Array, clear: float, step: float) -> float:
     return float(np.hypot(slope, step / np.sqrt(12.0)))
 
 
-def _spectrum(angle: Array, travel: float, highest: float) -> tuple[Array, Array]:
-    """|mean exp(2 pi j f y)| over f, 1/rad, from a fine histogram of the angle."""
+def _spectrum(angle: Array, travel: float, highest: float, own: float) -> tuple[Array, Array]:
+    """|mean exp(2 pi j f y)| over f, 1/rad, from a fine histogram of the angle.
+
+    Its bins are a whole part of the encoder's own counts, where those are no finer: others would
+    make a lattice of the two.
+    """
     width = 0.2 / highest
+    if own > width:
+        width = own / np.ceil(own / width)
     bins = int(np.ceil(1.05 * travel / width)) + 1
-    place = ((angle - angle.min()) / width).astype(np.int64)
+    place = np.rint((angle - angle.min()) / width).astype(np.int64)
     counted = np.bincount(place, minlength=bins).astype(np.float64)
     spectrum = np.abs(np.fft.rfft(counted)) / angle.size
     return np.asarray(np.fft.rfftfreq(counted.size, width), np.float64), spectrum

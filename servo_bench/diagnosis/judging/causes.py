@@ -13,8 +13,10 @@ from servo_bench.diagnosis.comparing.evidence import block_z
 from servo_bench.diagnosis.judging.intervals import names_of, quantities, standard_errors
 from servo_bench.diagnosis.judging.verdict import Cause, Quantity
 from servo_bench.diagnosis.searching.classes import class_of, splitting
+from servo_bench.diagnosis.searching.contenders import BY_CHANCE, Contender
 from servo_bench.diagnosis.searching.finding import Finding
 from servo_bench.diagnosis.searching.gate import HELD_Z, MOST_OF_IT
+from servo_bench.diagnosis.searching.hypotheses import SPRINGS, VEHICLE
 from servo_bench.diagnosis.searching.joint import Named
 from sim_rig.effects import find_effect
 
@@ -27,10 +29,11 @@ FEWEST_LOST = 1
 def causes_of(finding: Finding) -> Iterator[Cause]:
     numbers = quantities(finding.final, finding.scales)
     known = dict(zip(names_of(finding.final), standard_errors(finding.final), strict=True))
+    there = frozenset({*finding.absorbed, *(n.effect for n in finding.named)})
     for one in finding.named:
         name = f"{one.effect}.{find_effect(one.effect).strengths[0]}"
         if _is_sure(one) or name not in known or abs(numbers[name].value) > SURE * known[name]:
-            yield cause_of(one, numbers)
+            yield cause_of(one, numbers, there)
     if len(finding.lost.rows) >= FEWEST_LOST:
         low, high = finding.lost.interval
         yield Cause(
@@ -80,16 +83,24 @@ def carried_cause(effect: str, missed_z: float, numbers: dict[str, Quantity]) ->
     )
 
 
-def cause_of(one: Named, numbers: dict[str, Quantity]) -> Cause:
-    """A cause as a verdict tells it, beside its best rival: who is beyond chance worse than nothing
-    on what was held out is none, however well it may fit."""
+def cause_of(
+    one: Named, numbers: dict[str, Quantity], there: frozenset[str] = frozenset()
+) -> Cause:
+    """A cause as a verdict tells it, beside its best rival.
+
+    None are: who is beyond chance worse than nothing on what was held out, however well it may fit;
+    what is `there` as well; and a coupling by chance as good, which was passed over for a name.
+    """
     if one.missed_z is not None:
         return carried_cause(one.effect, one.missed_z, numbers)
     contenders = one.round.contenders
     rivals = [c for c in contenders if c is not one.contender and c.effect != one.effect]
     members = class_of(one.effect) - {one.effect}
     near = {c.effect for c in one.round.near(one.contender)} - {one.effect}
-    others = [c for c in rivals if c.effect not in members and c.held_z > -HELD_Z]
+    out = members | there
+    others = [c for c in rivals if c.effect not in out and c.held_z > -HELD_Z]
+    if one.effect not in SPRINGS:
+        others = [c for c in others if not _is_passed_over(one, c)]
     rival = min(others, key=lambda c: c.total) if others else None
     over = block_z(one.contender.costs, rival.costs) if rival is not None else None
     evidence = block_z(one.contender.costs, one.round.base_costs)
@@ -104,6 +115,11 @@ def cause_of(one: Named, numbers: dict[str, Quantity]) -> Cause:
         rival=rival.effect if rival is not None else None,
         over_rival=over,
     )
+
+
+def _is_passed_over(one: Named, rival: Contender) -> bool:
+    spring = rival.effect in SPRINGS - {VEHICLE}
+    return spring and abs(block_z(one.contender.costs, rival.costs)) < BY_CHANCE
 
 
 def _of_effect(effect: str, numbers: dict[str, Quantity]) -> dict[str, Quantity]:

@@ -34,7 +34,8 @@ def test_a_neighbour_of_what_is_not_asked_has_no_name(
     told = verdict_of(finding)
     assert told.names == named, told.sentence
     assert told.verdict == ("named" if named else "unknown")
-    assert [doubt.instead for doubt in finding.doubts] == ([] if named else [("coulomb",)])
+    assert [doubt.effect for doubt in finding.doubts] == ([] if named else ["thermal_friction"])
+    assert all("coulomb" in doubt.instead for doubt in finding.doubts)
     assert named or "coulomb" in told.sentence
 
 
@@ -48,18 +49,20 @@ def test_a_number_is_held_back_at_either_end_of_a_band() -> None:
 
 
 @pytest.mark.parametrize(
-    ("effect", "instead", "kept"),
+    ("effect", "missed", "instead", "kept"),
     [
-        ("coupling_compliance", ("viscous",), False),
-        ("coupling_compliance", (), True),
-        ("coulomb", ("viscous",), True),  # a law of its own, asked beside the damping
+        ("coupling_compliance", True, ("viscous",), False),
+        ("coupling_compliance", True, (), True),
+        ("coupling_compliance", False, (), False),
+        ("coulomb", True, ("viscous",), True),  # a law of its own, asked beside the damping
     ],
 )
 def test_a_coupling_that_a_little_more_damping_would_be_has_no_name(
-    monkeypatch: pytest.MonkeyPatch, effect: str, instead: tuple[str, ...], kept: bool
+    monkeypatch: pytest.MonkeyPatch, effect: str, missed: bool, instead: tuple[str, ...], kept: bool
 ) -> None:
     monkeypatch.setattr(letting_go, "_holds", lambda *_: True)
-    monkeypatch.setattr(letting_go, "_instead", lambda *_: instead)
+    monkeypatch.setattr(letting_go, "_instead", lambda *_, **__: instead)
+    monkeypatch.setattr(letting_go, "is_needed", lambda *_: missed)
     monkeypatch.setattr(letting_go, "without_effect", lambda *_: None)
     one: Any = SimpleNamespace(effect=effect)
     nothing: Any = None

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from servo_bench.diagnosis.judging.causes import cause_of
 from servo_bench.diagnosis.judging.judgement import _explained, _has_a_name
 from servo_bench.diagnosis.judging.verdict import Cause
 from servo_bench.diagnosis.searching import joint, rounds
@@ -47,17 +48,24 @@ def test_who_takes_more_is_not_asked_for_more(
     assert passes(contender(seen, held)) is able
 
 
-def spring_or_drag(spring_seen: float) -> tuple[Any, Any, Any]:
+def spring_or_drag(spring_seen: float, leads: float = 10.0) -> tuple[Any, Any, Any]:
     """A round that a coupling won before a damping, both beyond chance."""
+    costs = 10.0 + np.random.default_rng(1).normal(size=40)
     model = MODEL.with_effect("viscous", damping_nm_s_per_rad=1e-3)
     found: Any = SimpleNamespace(model=model, unknowns=())
     spring, drag = (
         SimpleNamespace(
-            effect=effect, found=found, seen_gain=seen, seen_z=15.0, held_gain=held, held_z=14.0
+            effect=effect,
+            found=found,
+            seen_gain=seen,
+            seen_z=15.0,
+            held_gain=held,
+            held_z=14.0,
+            costs=all_of,
         )
-        for effect, seen, held in (
-            ("coupling_compliance", spring_seen, 0.19),
-            ("viscous", 0.05, 0.08),
+        for effect, seen, held, all_of in (
+            ("coupling_compliance", spring_seen, 0.19, np.full(40, 10.0)),
+            ("viscous", 0.05, 0.08, costs + leads),
         )
     )
     return spring, drag, SimpleNamespace(contenders=(spring, drag))
@@ -70,6 +78,8 @@ def test_a_coupling_that_takes_little_gives_way_to_what_has_a_name() -> None:
     assert with_a_name(drag, played, SCALES, 0, right=False) is drag
     spring, drag, played = spring_or_drag(0.4)
     assert with_a_name(spring, played, SCALES, 0, right=False) is spring
+    spring, drag, played = spring_or_drag(0.4, leads=0.0)
+    assert with_a_name(spring, played, SCALES, 0, right=False) is drag, "no more than chance"
     alone: Any = SimpleNamespace(contenders=(spring_or_drag(0.05)[0],))
     assert with_a_name(alone.contenders[0], alone, SCALES, 0, right=False) is alone.contenders[0]
     assert with_a_name(None, played, SCALES, 0, right=False) is None
@@ -92,6 +102,7 @@ def test_a_spring_is_surer_than_others_where_all_is_right_already(z: float, able
         ("inverter_dead_time", 0.005, 5.0, False),
         ("inverter_dead_time", 0.01, 3.5, False),
         ("viscous", 0.01, 5.0, False),
+        ("viscous", 0.04, 5.0, False),
         ("coupling_compliance", 0.04, 20.0, False),
         ("coupling_compliance", 0.06, 20.0, True),
     ],
@@ -102,6 +113,29 @@ def test_beside_a_load_that_coasts_a_little_of_the_cost_is_enough_where_it_is_be
     """Not for a spring, nor for what every rig has up to nearly a cause's size."""
     one: Any = SimpleNamespace(effect=effect, seen_gain=gain, seen_z=z, held_gain=gain, held_z=z)
     assert passes_beside_coasting(one, right=True) is able
+
+
+@pytest.mark.parametrize(
+    ("seen_gain", "seen_z", "held_z", "able"),
+    [
+        (0.16, 24.0, 3.2, True),
+        (0.09, 24.0, 3.2, False),
+        (0.16, 12.0, 3.2, False),
+        (0.16, 24.0, 2.5, False),
+    ],
+)
+def test_a_spring_that_stands_far_out_need_not_take_much_of_what_was_held_out(
+    seen_gain: float, seen_z: float, held_z: float, able: bool
+) -> None:
+    one: Any = SimpleNamespace(
+        effect="coupling_compliance",
+        seen_gain=seen_gain,
+        seen_z=seen_z,
+        held_gain=0.017,
+        held_z=held_z,
+    )
+    assert passes_beside_coasting(one, right=True) is able
+    assert not passes(one, right=True)
 
 
 def test_what_is_left_out_carries_nothing_else_either() -> None:
@@ -192,6 +226,33 @@ def test_a_doubt_is_told_with_who_makes_it(
         rival="misalignment",
     )
     assert _has_a_name(cause) is named
+
+
+@pytest.mark.parametrize(
+    ("others", "there", "rival"),
+    [
+        ({"cogging": 1.0, "viscous": 2.0}, frozenset[str](), "cogging"),
+        ({"cogging": 1.0, "viscous": 2.0}, frozenset({"cogging"}), "viscous"),
+        ({"coupling_compliance": 0.0, "viscous": 2.0}, frozenset[str](), "viscous"),
+        ({"coupling_compliance": 1.0}, frozenset[str](), "coupling_compliance"),
+        ({"coupling_compliance": 0.0}, frozenset[str](), None),
+    ],
+)
+def test_who_is_a_rival_of_a_cause(
+    others: dict[str, float], there: frozenset[str], rival: str | None
+) -> None:
+    """Not what is there as well, nor a coupling that was passed over because it was as good."""
+    costs = 10.0 + np.random.default_rng(2).normal(size=40)
+    fitted: list[Any] = [
+        SimpleNamespace(effect=effect, costs=costs + leads, total=(costs + leads).sum(), held_z=9.0)
+        for effect, leads in {"stribeck": 0.0, **others}.items()
+    ]
+    fitted[0].costs = np.full(40, 10.0)
+    played = SimpleNamespace(
+        contenders=fitted, near=lambda _: (), base_costs=costs + 90.0, screened=()
+    )
+    one: Any = SimpleNamespace(effect="stribeck", missed_z=None, round=played, contender=fitted[0])
+    assert cause_of(one, {}, there).rival == rival
 
 
 @pytest.mark.parametrize(("seen", "held", "worth"), [(0.02, 0.12, False), (0.06, 0.12, True)])

@@ -113,7 +113,7 @@ def separation(
     recording = foreseen(plan.experiment, model)
     evidence = evidence_of([recording], model)
     scales = _scales(recording, model)
-    band = nuisances(scales.rig_torque_nm, scales.gap_rad)
+    band = nuisances(scales.rig_torque_nm, scales.gap_rad, scales.integral_per_s)
     centre = _at_centre(model, band)
     templates = _templates(evidence, centre, band, scales, only, sizes)
     minutes = min(JUDGED_S, plan.experiment.schedule().duration_s) / 60.0

@@ -40,17 +40,21 @@ OTHERWISE = frozenset({"contact", "load_friction", "load_torque", "gravity_imbal
 """Effects that give the load a motion of its own already."""
 
 
-def with_coasting(whole: Evidence, final: Found, *, to_ask: bool = True) -> Found:
+def with_coasting(
+    whole: Evidence, final: Found, *, to_ask: bool = True, scouted: Evidence | None = None
+) -> Found:
     """The same search with a coasting load beside, where all but the twist is right; or as it was.
 
     Coasting is judged in the gap that fits it best. That gap is not kept where it is more than
     what every rig has: it is a cause, to be found beside a load that coasts. Until that is asked
     the load may coast and fit worse; where it is not to be asked any more, it may not.
+
+    Where the search begins may be `scouted` on less.
     """
     least = ASKED if to_ask else WRONG
     if not _only_the_twist(whole, final, least) or OTHERWISE & set(final.model.effects):
         return final
-    start = _start(whole, final)
+    start = _start(whole if scouted is None else scouted, final)
     if start is None:
         return final
     own = _own(start)
@@ -71,18 +75,18 @@ def coasting_or_rested(whole: Evidence, coasts: Found, rested: Found) -> Found:
     return coasts if told and lower else rested
 
 
-def _start(whole: Evidence, final: Found) -> Model | None:
+def _start(scouted: Evidence, final: Found) -> Model | None:
     """The best of some loads on some faces, in some gaps; None where one cannot be simulated."""
     try:
         models = [coasting(final.model, a, c) for a, c in product(SLOWED_RAD_S2, FACES_S)]
     except EffectError:
         return None
-    costs = np.array([errors.cost(final.sigma) for errors in whole.seen(models)])
+    costs = np.array([errors.cost(final.sigma) for errors in scouted.seen(models)])
     best: list[Model] = [models[k] for k in np.argsort(costs)[:FACED]]
     if final.model.nominal.backlash_gap_rad <= 0.0:
         return best[0]
     models = [_in_gap(model, share) for model, share in product(best, GAPS)]
-    costs = np.array([errors.cost(final.sigma) for errors in whole.seen(models)])
+    costs = np.array([errors.cost(final.sigma) for errors in scouted.seen(models)])
     return models[int(np.argmin(costs))]
 
 

@@ -176,29 +176,27 @@ def find_causes(
         final, named = fit_jointly(whole, final, named, band, report, small=len(absorbed))
     final, named = run_off(whole, final, named, band, report)
     final, named = on_a_light_load(whole, final, named, band, report)
+    final, named = without_stand_ins(whole, final, named, band)
     plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
     before = misfit(whole, plain.errors)
     late = Late(quick, whole, candidates, scales, band, report)
-    noted = any(is_noted(n.effect, before) for n in named)
+    noted = any(is_noted(n.effect, before) and is_worth_it(n, final, scales) for n in named)
     longer = longer_look(recordings, plain.model, block)
     joint = None if noted else asked_again(late, longer, plain, final, rounds.append)
     if joint is not None:
         (final, named), absorbed = joint, []
     if not named:  # a line of its error may repeat with the shaft by chance
-        final = _coasting_or_not(whole, final, plain)
+        final = _coasting_or_not(late, final, plain)
     one = asked_late(late, final, named, unsure(failed))
     if one is not None:
         rounds.append(one.round)
         final, named = fit_jointly(whole, one.contender.found, [*named, one], band, report)
         absorbed = [effect for effect in absorbed if effect != one.effect]
-    if not is_coasting(final.model):  # its contact is no vehicle that a cause was tried on
-        named += needed_vehicle(whole, final, named, band, report)
-    final, named = without_stand_ins(whole, final, named, band)
-    named, small = _worth_telling(named, final, before, scales)
+    final, named, small = _worth_telling(late, final, named, before, anew=bool(joint or one))
     absorbed += small
     # judged beside what is known now: a motor that sticks stands on the command's own steps
     grid = None if "quantisation" in without else lattice(whole.fitted[0], final.model)
-    final, plain = _coasting_at_last(whole, final, plain, nothing=not (named or absorbed))
+    final, plain = _coasting_at_last(late, final, plain, nothing=not (named or absorbed))
     out = {e for e in READ_OFF if e in without or (only and e not in only)}
     final, named, readings = with_readings(whole, final, named, late, out)
     return Finding(
@@ -230,38 +228,45 @@ def find_causes(
     )
 
 
-def _coasting_or_not(whole: Evidence, final: Found, plain: Found) -> Found:
+def _coasting_or_not(late: Late, final: Found, plain: Found) -> Found:
     """The final fit beside a load that coasts. What was too small for a name may have stood in for
     it, and given the load a motion of its own: the better of the two."""
     if not OTHERWISE & final.model.effects.keys():
-        return with_coasting(whole, final)
-    coasts = with_coasting(whole, plain)
+        return with_coasting(late.whole, final, scouted=late.quick)
+    coasts = with_coasting(late.whole, plain, scouted=late.quick)
     better = coasts.errors.cost(final.sigma) < final.errors.cost(final.sigma)
     return coasts if better and is_coasting(coasts.model) else final
 
 
 def _coasting_at_last(
-    whole: Evidence, final: Found, plain: Found, *, nothing: bool
+    late: Late, final: Found, plain: Found, *, nothing: bool
 ) -> tuple[Found, Found]:
     """The final fit and the plain one, with a load that coasts where that is so: where `nothing`
     was found they are the same, and what coasting was asked with is not sought once more."""
     if nothing and is_coasting(final.model):
-        final = coasting_or_rested(whole, final, plain)
+        final = coasting_or_rested(late.whole, final, plain)
     else:
-        final = with_coasting(whole, plain if nothing else final, to_ask=False)
+        rested = plain if nothing else final
+        final = with_coasting(late.whole, rested, to_ask=False, scouted=late.quick)
     return final, final if nothing else plain
 
 
 def _worth_telling(
-    named: Sequence[Named], final: Found, before: Array, scales: Scales
-) -> tuple[list[Named], list[str]]:
-    """Causes that are worth a name in the final fit, or what they need beside them; and effects
-    that are too small for one."""
+    late: Late, final: Found, named: list[Named], before: Array, *, anew: bool
+) -> tuple[Found, list[Named], list[str]]:
+    """The final fit, its causes that are worth a name, with what they need beside them, and effects
+    that are too small for one. Where it was made `anew`, a coupling is looked at once more."""
+    scales = late.scales
+    if not is_coasting(final.model):  # its contact is no vehicle that a cause was tried on
+        vehicle = needed_vehicle(late.whole, final, named, late.band, late.report)
+        named = [*named, *vehicle]
+    if anew:
+        final, named = without_stand_ins(late.whole, final, named, late.band)
     coasts = is_coasting(final.model)  # what is left beside that is hardly anything else
     noted = [n for n in named if coasts or is_noted(n.effect, before)]
     small = [n.effect for n in named if not (coasts or is_noted(n.effect, before))]
     small += [n.effect for n in noted if not is_worth_it(n, final, scales)]
-    return [n for one in noted for n in worth_a_name(one, final, scales)], small
+    return final, [n for one in noted for n in worth_a_name(one, final, scales)], small
 
 
 def _absorbed(effects: Sequence[str], named: Sequence[Named], final: Found) -> tuple[str, ...]:

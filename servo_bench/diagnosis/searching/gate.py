@@ -15,7 +15,7 @@ from servo_bench.diagnosis.comparing.rows import Array
 from servo_bench.diagnosis.searching.contenders import Contender
 from servo_bench.diagnosis.searching.hypotheses import SPRINGS, VEHICLE
 from servo_bench.diagnosis.searching.scales import Scales
-from servo_bench.diagnosis.searching.unknowns import MASS, USUAL_RAD_S
+from servo_bench.diagnosis.searching.unknowns import HALF_PERIOD_S, MASS, USUAL_RAD_S
 from sim_rig.effects import find_effect
 from sim_rig.model import Model
 
@@ -28,6 +28,10 @@ GIVES_Z = 8.5
 """What a spring stands beyond chance, seen and held out together, where all is right already: of a
 rig with nothing wrong and a load that coasts one took 19 and 15 % at z of 5.2 and 5.1, together
 7.3. Of five couplings the least sure stood at 10.5."""
+FAR_OUT_Z = 15.0
+"""Beyond chance on what was seen, of a spring that need not take much of the rest beside a load
+that coasts. Of rigs with nothing wrong one stood at 5.2; a coupling of 0.012 rad/N m took 16 % at
+24."""
 MOST_CAUSES = 3
 MOST_OF_IT, MUCH = 0.5, 0.1
 """Who explains so much of what was seen need not be as sure on the rest."""
@@ -47,6 +51,7 @@ WITHIN = frozenset(
         "current_loop_lag",
         "velocity_filter_lag",
         "transport_delay",
+        "proportional_gain_error",
         FRICTION,
     }
 )
@@ -74,7 +79,7 @@ def material_sizes(s: Scales) -> dict[str, float]:
         "torque_ripple": 0.002,
         "torque_constant_error": 0.0125,
         "inertia_error": 0.0125,
-        "proportional_gain_error": 0.0125,
+        "proportional_gain_error": max(0.0125, 1.1 * HALF_PERIOD_S * s.integral_per_s),
         "integral_gain_error": 0.0125,
         "torque_constant_droop": 0.01 / s.currents_a[0] ** 2,
         "thermal_torque_constant": 0.025,
@@ -157,14 +162,23 @@ def passes_beside_coasting(contender: Contender, *, right: bool) -> bool:
     """Whether a contender is beyond chance beside a load that coasts, and nothing else.
 
     Where the load goes in its gap is most of the cost there, so that what stands far out in both
-    parts need not take much of it. A spring must, which fits a part of whatever the load does, and
-    what every rig has up to nearly a cause's size.
+    parts need not take much of it. A spring must, which fits a part of whatever the load does; and
+    what every rig has up to nearly a cause's size, of what was seen.
     """
-    if contender.effect in SPRINGS | WITHIN:
-        return passes(contender, right=right)
+    if contender.effect in SPRINGS:
+        return passes(contender, right=right) or stands_far_out(contender)
     least_gain = min(contender.seen_gain, contender.held_gain)
-    sure = contender.seen_z > SEEN_Z and contender.held_z > HELD_Z
-    return sure and least_gain > COASTING_GAIN
+    sure = contender.seen_z > SEEN_Z and contender.held_z > HELD_Z and least_gain > COASTING_GAIN
+    if contender.effect in WITHIN and contender.seen_gain < MUCH:
+        return passes(contender, right=right)
+    return sure
+
+
+def stands_far_out(contender: Contender) -> bool:
+    """Whether a spring takes much of what was seen and stands far out there, and is beyond chance
+    in the rest as well."""
+    seen = contender.seen_gain > GIVE and contender.seen_z > FAR_OUT_Z
+    return seen and contender.held_gain > COASTING_GAIN and contender.held_z > HELD_Z
 
 
 def _sure(contender: Contender) -> bool:

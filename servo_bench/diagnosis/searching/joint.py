@@ -20,6 +20,7 @@ from servo_bench.diagnosis.searching.gate import (
     is_felt,
     is_material,
     misfit,
+    stands_far_out,
     strength_of,
 )
 from servo_bench.diagnosis.searching.hypotheses import ON_THE_LOAD, SPRINGS, VEHICLE
@@ -142,9 +143,11 @@ def is_worth_it(one: Named, found: Found, scales: Scales) -> bool:
     of both. Nowhere is a coupling one that takes next to nothing of what was seen.
     """
     gain, seen_gain = one.contender.held_gain, one.contender.seen_gain
-    if one.effect in SPRINGS - {VEHICLE} and min(gain, seen_gain) < SOME:
+    coasts = is_coasting(found.model)
+    far_out = coasts and stands_far_out(one.contender)
+    if one.effect in SPRINGS - {VEHICLE} and min(gain, seen_gain) < SOME and not far_out:
         return False
-    if one.effect in SPRINGS and is_coasting(found.model):
+    if one.effect in SPRINGS and coasts:
         gain = max(gain, seen_gain)
     elif one.effect in SPRINGS - {VEHICLE} and ON_THE_LOAD & found.model.effects.keys():
         gain = min(gain, seen_gain)

@@ -31,6 +31,9 @@ AT_ITS_END = 0.95
 KEEPS = 0.3
 """Of the share that a cause takes: what is left of it beside what was let go. A gain that stood in
 for damping kept 0.13, causes that were there 0.9 and more."""
+SPRING_KEEPS = 0.75
+"""The same of a coupling, which may stand in for more: beside a large friction of the load one kept
+0.64, for a little damping 0.57; couplings that were there 0.93 and more."""
 WITH, WITHOUT = 3, 4
 """Iterations of a search with every cause, and of one without, which has further to go."""
 
@@ -53,15 +56,22 @@ def stands_at_its_end(unknown: Unknown, value: float) -> bool:
 def without_stand_ins(
     whole: Evidence, final: Found, named: Sequence[Named], band: Sequence[Unknown]
 ) -> tuple[Found, list[Named]]:
-    """The fit without couplings that are not missed where every band at whose end it stands is let
-    go: three free numbers take what a little more damping or lag would. Nothing is wrong then."""
+    """The fit without couplings that are not missed, or not where every band at whose end it stands
+    is let go: three free numbers take what a little more damping or lag would. Nothing is wrong
+    then."""
     kept = list(named)
     for one in named:
         if one.effect not in SPRINGS - {VEHICLE}:
             continue
+        less = without_effect(whole, final, one.effect, band)
         free = [u for u in band if _holds(u, one.effect, final)]
-        if free and _instead(whole, final, one.effect, band, free):
-            final = without_effect(whole, final, one.effect, band)
+        needed = is_needed(final, less)
+        if needed and free:
+            needed = not _instead(
+                whole, final, one.effect, band, free, less=less, keeps=SPRING_KEEPS
+            )
+        if not needed:
+            final = less
             kept.remove(one)
     return final, kept
 
@@ -77,7 +87,13 @@ def doubts(
     found = []
     for effect in dict.fromkeys(n.effect for n in named):
         free = [u for u in band if u.effect not in asked and _holds(u, effect, final)]
-        instead = _instead(whole, final, effect, band, free) if free else ()
+        if not free:
+            continue
+        try:
+            less = without_effect(whole, final, effect, band)
+            instead = _instead(whole, final, effect, band, free, less=less)
+        except EffectError:  # the others need it
+            continue
         found += [Doubt(effect, instead)] if instead else []
     return tuple(found)
 
@@ -97,23 +113,24 @@ def _instead(
     effect: str,
     band: Sequence[Unknown],
     free: Sequence[Unknown],
+    *,
+    less: Found,
+    keeps: float = KEEPS,
 ) -> tuple[str, ...]:
     """What does as well as an effect, where it is `free`; nothing where the effect is missed, or
-    was not missed before either: a gap that is wrong within its band."""
+    was not missed by `less` either: a gap that is wrong within its band."""
+    if not is_needed(final, less):
+        return ()
     names = {u.name for u in free}
     unknowns = [_let_go(u) if u.name in names else u for u in final.unknowns]
     usual = [_let_go(u) if u.name in names else u for u in band]
     start = _in_its_shape(final.model, effect)
     more = seek(whole, start, unknowns, final.sigma, iterations=WITH)
-    try:
-        less = without_effect(whole, more, effect, usual, iterations=WITHOUT)
-        held = without_effect(whole, final, effect, band)
-    except EffectError:  # the others need it
+    instead = without_effect(whole, more, effect, usual, iterations=WITHOUT)
+    loses = share_of(more, instead) < keeps * share_of(final, less)
+    if is_needed(more, instead) and not loses:
         return ()
-    loses = share_of(more, less) < KEEPS * share_of(final, held)
-    if not is_needed(final, held) or (is_needed(more, less) and not loses):
-        return ()
-    beyond = [u.effect for u in free if not u.low <= less.value(u.name) <= u.high]
+    beyond = [u.effect for u in free if not u.low <= instead.value(u.name) <= u.high]
     return tuple(beyond or (u.effect for u in free))
 
 

@@ -67,7 +67,7 @@ def made_ready(
     quick = quick_evidence(recordings, model, _quick_rows(recordings), block=block)
     longest_s = max(len(recording) * recording.period_s for recording in recordings)
     scales = _scales(quick, model)._replace(seconds=longest_s)
-    band = nuisances(scales.rig_torque_nm, scales.gap_rad)
+    band = nuisances(scales.rig_torque_nm, scales.gap_rad, scales.integral_per_s)
     base = seek(quick, model, band, iterations=4)
     timed = _timed(recordings, held_out, quick, base, block)
     if timed.notes:

@@ -32,6 +32,7 @@ class Scales(NamedTuple):
     peaks_a: tuple[float, ...] = ()
     integral_peak_a: float = 0.0
     seconds: float = 0.0
+    integral_per_s: float = 0.0
 
     @property
     def rig_torque_nm(self) -> float:
@@ -81,7 +82,14 @@ def scales_of(model: Model, commands_rad_s: np.ndarray, durations_s: np.ndarray 
         gap_rad=nominal.backlash_gap_rad,
         inertia_kg_m2=nominal.inertia_kg_m2,
         seconds=done.end.time_s,
+        integral_per_s=_integral_per_s(model),
     )
+
+
+def _integral_per_s(model: Model) -> float:
+    """K_I over K_P; zero of a drive without a K_P."""
+    proportional = model.nominal.proportional_gain_a_s_per_rad
+    return model.nominal.integral_gain_a_per_rad / proportional if proportional > 0.0 else 0.0
 
 
 def _within(

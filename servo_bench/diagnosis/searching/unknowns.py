@@ -8,6 +8,11 @@ move within a band about zero, sized by the rig itself (tau: a tenth of its rate
     viscous                 0 .. 0.5 % of tau/omega    velocity_filter_lag   0 .. 0.25 ms
     torque_constant_error   -0.5 .. 0.5 %   transport_delay       0 .. 0.13 ms
     inertia_error           -0.5 .. 0.5 %   backlash_width        -1 .. 1 mrad, 5 %
+    proportional_gain_error -0.1 .. 0.1 ms of K_I/K_P
+
+A drive sums its velocity error once a period T. Where the newest one counts in full, its integral
+is ahead of the continuous one by T/2 of that, which is a K_P that is larger by K_I T/2 (backward
+Euler; forward, smaller).
 
 A cause of the same name is one that leaves its band; a gap's error may be one within it (`gap`).
 """
@@ -33,6 +38,8 @@ WIDE = 30.0
 """So many times the size that is tried is sought, at most, of what has no bound of its own."""
 
 MOST_DELAY_S, FINE_DELAY_S = 1.3e-4, 1e-5
+HALF_PERIOD_S = 1e-4
+"""Of the slowest usual velocity loop of a drive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +109,14 @@ def _value(model: Model, name: str) -> float:
     return float(getattr(model.effects.get(effect, find_effect(effect).params()), field))
 
 
-def nuisances(rig_torque_nm: float, gap_rad: float) -> tuple[Unknown, ...]:
-    """The bands of every rig with such a torque."""
+def nuisances(
+    rig_torque_nm: float, gap_rad: float, integral_per_s: float = 0.0
+) -> tuple[Unknown, ...]:
+    """The bands of every rig with such a torque, gap, and K_I/K_P."""
     torque = 0.04 * rig_torque_nm
     damping = 0.005 * rig_torque_nm / USUAL_RAD_S
     gap = min(1e-3, 0.05 * gap_rad)
+    gain = HALF_PERIOD_S * integral_per_s
     bands = (
         ("coulomb", "torque_nm", 0.0, torque),
         ("viscous", "damping_nm_s_per_rad", 0.0, damping),
@@ -116,6 +126,7 @@ def nuisances(rig_torque_nm: float, gap_rad: float) -> tuple[Unknown, ...]:
         ("torque_constant_error", "error_fraction", -0.005, 0.005),
         ("inertia_error", "error_fraction", -0.005, 0.005),
         *((("backlash_width", "change_rad", -gap, gap),) if gap > 0.0 else ()),
+        *((("proportional_gain_error", "error_fraction", -gain, gain),) if gain > 0.0 else ()),
     )
     return tuple(_band(*band) for band in bands)
 

@@ -102,7 +102,8 @@ def test_a_faint_line_in_a_hole_of_the_spectrum_is_none() -> None:
     assert tone(compared(37, MODEL, error_rad, SHORT), MODEL) is None
 
 
-@pytest.mark.parametrize("seed", [45, pytest.param(46, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", [45, 46])
+@pytest.mark.long
 def test_a_faint_scale_is_a_cause_and_the_extended_rig_has_it(seed: int) -> None:
     wave = {"amplitude_rad": 5e-5, "line_order": float(LINES), "phase_rad": -1.1}
     recording = recorded(MODEL.with_effect(SCALE, **wave), seed, slots=SLOTS)

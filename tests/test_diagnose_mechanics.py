@@ -52,6 +52,7 @@ def turned(lines: dict[int, float], friction_a: float, seed: int, ripple: float 
     ).verdict
 
 
+@pytest.mark.long
 def test_all_lines_of_a_rotor_are_its_cogging_and_the_strongest_comes_first() -> None:
     """Three have names, the others a note; none is called a ripple of the torque."""
     verdict = turned(LINES, 0.08, seed=15)

@@ -84,8 +84,9 @@ def test_two_templates_tell_a_misalignment_of_any_phase(phase_rad: float) -> Non
 
 @pytest.mark.parametrize(
     ("compliance_rad_per_nm", "hub_share"),
-    [pytest.param(0.045, 0.3, marks=pytest.mark.long), (0.012, 0.45)],
+    [(0.045, 0.3), (0.012, 0.45)],
 )
+@pytest.mark.long
 def test_a_resonance_is_sought_from_trials_as_they_were_tried(
     compliance_rad_per_nm: float, hub_share: float
 ) -> None:

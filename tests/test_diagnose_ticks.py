@@ -56,9 +56,8 @@ def test_a_delay_is_never_less_than_none_and_the_other_way_still_counts(seen: Ev
     assert ticks(seen, late)[quick] == pytest.approx(ticks(seen, WALKING_FAR)[quick], rel=0.3)
 
 
-@pytest.mark.parametrize(
-    ("seed", "seconds"), [pytest.param(871005, 44.0, marks=pytest.mark.long), (871011, 16.0)]
-)
+@pytest.mark.parametrize(("seed", "seconds"), [(871005, 44.0), (871011, 16.0)])
+@pytest.mark.long
 def test_a_clock_that_walks_past_a_few_ticks_is_named(seed: int, seconds: float) -> None:
     """Its delay goes in steps, which a slope would take for a change, and its number is not sure
     after 16 s: still it takes most of what is wrong."""

@@ -16,7 +16,11 @@ SECONDS = 6.0
 
 
 @pytest.mark.parametrize(
-    ("seed", "effect", "measured"), [(1501, "cogging", False), (1507, "transport_delay", True)]
+    ("seed", "effect", "measured"),
+    [
+        (1501, "cogging", False),
+        pytest.param(1507, "transport_delay", True, marks=pytest.mark.long),
+    ],
 )
 def test_a_hidden_effect_is_named(seed: int, effect: str, *, measured: bool) -> None:
     line = run_trial(Question(seed=seed, effect=effect, seconds=SECONDS, measured=measured))

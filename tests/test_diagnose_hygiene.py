@@ -128,10 +128,22 @@ def test_a_lattice_of_little_more_than_two_counts_is_found(counts: float) -> Non
     assert found.quantum_rad == pytest.approx(counts * count_rad, rel=1e-3)
 
 
-def test_no_lattice_stands_in_noise_on_the_counts_alone() -> None:
-    for seed in range(22, 27):
-        seen = recorded(MODEL, seed, slots=2000, noise_counts=0.6)
-        assert lattice(compare(seen, MODEL, scales=SCALES), MODEL) is None
+@pytest.mark.parametrize("counts", [65536, 200000, 240000, 250000, 262144, 300000])
+@pytest.mark.parametrize("noise_rad", [6e-5, 1.7e-4])
+def test_no_lattice_stands_in_noise_on_the_counts_alone(counts: int, noise_rad: float) -> None:
+    """Nor where the histogram's bins are nearly as wide as the counts."""
+    clean = recorded(MODEL, 22, slots=2000, noise_counts=0.0)
+    white = noise_rad * np.random.default_rng(16).standard_normal(clean["slot"].size)
+    counted = np.rint((np.array(clean["load_angle_rad"]) + white) * counts / math.tau)
+    seen = with_channels(clean, load_angle_rad=counted * math.tau / counts)
+    assert lattice(compare(seen, MODEL, scales=SCALES), MODEL) is None
+
+
+def test_a_spike_beyond_all_travel_takes_no_memory() -> None:
+    clean = recorded(MODEL, 23, slots=400)
+    angle = np.array(clean["load_angle_rad"])
+    angle[100] = 4e5
+    assert lattice(compare(with_channels(clean, load_angle_rad=angle), MODEL), MODEL) is None
 
 
 def test_an_angle_that_is_but_partly_on_a_lattice_has_none() -> None:

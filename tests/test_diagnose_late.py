@@ -11,9 +11,8 @@ from servo_bench.diagnosis.searching.finding import find_causes, nothing_told
 from servo_bench.diagnosis.searching.hypotheses import hypotheses
 from servo_bench.diagnosis.searching.joint import Named
 from servo_bench.diagnosis.searching.late import Late, asked_again, asked_late
-from servo_bench.diagnosis.searching.scales import scales_of
+from servo_bench.diagnosis.searching.scales import band_of, scales_of
 from servo_bench.diagnosis.searching.seeking import Found, seek
-from servo_bench.diagnosis.searching.unknowns import nuisances
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, PERIOD_S, recorded
 
@@ -34,7 +33,7 @@ def lately(hidden: Model, seed: int, only: Sequence[str]) -> tuple[Late, Found]:
     seen = evidence_of([run], MODEL, block="loop")
     commands = np.asarray(run["velocity_command_rad_s"])
     scales = scales_of(MODEL, commands, PERIOD_S)
-    band = nuisances(scales.rig_torque_nm, scales.gap_rad)
+    band = band_of(scales, MODEL)
     plain = seek(seen, MODEL, band, iterations=3)
     tried = hypotheses(scales, motor_orders=(24.0,), only=only)
     return Late(seen, seen, tried, scales, band, nothing_told), plain

@@ -74,15 +74,15 @@ def spring_or_drag(spring_seen: float, leads: float = 10.0) -> tuple[Any, Any, A
 def test_a_coupling_that_takes_little_gives_way_to_what_has_a_name() -> None:
     """Three free numbers of a spring fit a part of whatever is wrong."""
     spring, drag, played = spring_or_drag(0.05)
-    assert with_a_name(spring, played, SCALES, 0, right=False) is drag
-    assert with_a_name(drag, played, SCALES, 0, right=False) is drag
+    assert with_a_name(spring, played, SCALES, passes) is drag
+    assert with_a_name(drag, played, SCALES, passes) is drag
     spring, drag, played = spring_or_drag(0.4)
-    assert with_a_name(spring, played, SCALES, 0, right=False) is spring
+    assert with_a_name(spring, played, SCALES, passes) is spring
     spring, drag, played = spring_or_drag(0.4, leads=0.0)
-    assert with_a_name(spring, played, SCALES, 0, right=False) is drag, "no more than chance"
+    assert with_a_name(spring, played, SCALES, passes) is drag, "no more than chance"
     alone: Any = SimpleNamespace(contenders=(spring_or_drag(0.05)[0],))
-    assert with_a_name(alone.contenders[0], alone, SCALES, 0, right=False) is alone.contenders[0]
-    assert with_a_name(None, played, SCALES, 0, right=False) is None
+    assert with_a_name(alone.contenders[0], alone, SCALES, passes) is alone.contenders[0]
+    assert with_a_name(None, played, SCALES, passes) is None
 
 
 @pytest.mark.parametrize(("z", "able"), [(5.2, False), (7.4, True)])
@@ -233,15 +233,16 @@ def test_a_doubt_is_told_with_who_makes_it(
     [
         ({"cogging": 1.0, "viscous": 2.0}, frozenset[str](), "cogging"),
         ({"cogging": 1.0, "viscous": 2.0}, frozenset({"cogging"}), "viscous"),
-        ({"coupling_compliance": 0.0, "viscous": 2.0}, frozenset[str](), "viscous"),
-        ({"coupling_compliance": 1.0}, frozenset[str](), "coupling_compliance"),
-        ({"coupling_compliance": 0.0}, frozenset[str](), None),
+        ({"coupling_compliance": -0.1, "viscous": 2.0}, frozenset[str](), "viscous"),
+        ({"coupling_compliance": 0.1}, frozenset[str](), "coupling_compliance"),
+        ({"coupling_compliance": -0.1}, frozenset[str](), None),
+        ({"viscous": -0.1}, frozenset[str](), "viscous"),
     ],
 )
 def test_who_is_a_rival_of_a_cause(
     others: dict[str, float], there: frozenset[str], rival: str | None
 ) -> None:
-    """Not what is there as well, nor a coupling that was passed over because it was as good."""
+    """Not what is there as well, nor a coupling that led by chance and was passed over."""
     costs = 10.0 + np.random.default_rng(2).normal(size=40)
     fitted: list[Any] = [
         SimpleNamespace(effect=effect, costs=costs + leads, total=(costs + leads).sum(), held_z=9.0)

@@ -10,10 +10,9 @@ from servo_bench.diagnosis.searching.gap import play_gap
 from servo_bench.diagnosis.searching.gate import RIGHT, material_sizes
 from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Trial, hypotheses
 from servo_bench.diagnosis.searching.rounds import play_round
-from servo_bench.diagnosis.searching.scales import Scales, scales_of
+from servo_bench.diagnosis.searching.scales import Scales, band_of, scales_of
 from servo_bench.diagnosis.searching.screening import Screened, screen, towards
 from servo_bench.diagnosis.searching.seeking import Found, seek
-from servo_bench.diagnosis.searching.unknowns import nuisances
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, PERIOD_S, recorded
 
@@ -22,15 +21,15 @@ SLOTS = 900
 
 
 def rested(
-    hidden: Model, seed: int, band_of: str = ""
+    hidden: Model, seed: int, of: str = ""
 ) -> tuple[Evidence, Found, tuple[Hypothesis, ...], Scales]:
     """What the nuisances leave, each in its band, of a rig that has something more."""
     run = recorded(hidden, seed, slots=SLOTS)
     seen = evidence_of([run], MODEL)
     commands = np.asarray(run["velocity_command_rad_s"])
     scales = scales_of(MODEL, commands, PERIOD_S)
-    band = nuisances(scales.rig_torque_nm, scales.gap_rad)
-    band = tuple(u for u in band if band_of in u.effect)
+    band = band_of(scales, MODEL)
+    band = tuple(u for u in band if of in u.effect)
     return seen, seek(seen, MODEL, band, iterations=4), hypotheses(scales), scales
 
 
@@ -51,7 +50,7 @@ def test_a_nuisance_at_its_bound_comes_back_where_the_cause_takes_its_place() ->
 @pytest.mark.parametrize("lag_s", [2e-4, 3e-4])
 def test_of_what_is_there_already_a_template_tells_the_whole(lag_s: float) -> None:
     hidden, lag = MODEL.with_effect("current_loop_lag", lag_s=lag_s), "current_loop_lag"
-    seen, base, tried, _ = rested(hidden, 32, band_of=lag)
+    seen, base, tried, _ = rested(hidden, 32, of=lag)
     assert base.value("current_loop_lag.lag_s") > 5e-5
     found = first(screen(seen, base, tried), lag)
     assert found.trial.size == pytest.approx(lag_s, rel=0.25)
@@ -74,7 +73,7 @@ def test_a_trial_is_as_strong_as_what_is_there_and_what_is_added_and_never_less_
 def test_two_templates_tell_a_misalignment_of_any_phase(phase_rad: float) -> None:
     """Its error turns twice as its phase turns once, and grows with the square of the angle."""
     hidden = MODEL.with_effect("misalignment", angle_rad=0.06, phase_rad=phase_rad)
-    seen, base, tried, _ = rested(hidden, 34, band_of="lag")
+    seen, base, tried, _ = rested(hidden, 34, of="lag")
     found = first(screen(seen, base, tried), "misalignment")
     assert found.gain > 0.2  # the rest is noise
     assert found.trial.size == pytest.approx(0.06, rel=0.1)
@@ -98,7 +97,7 @@ def test_a_resonance_is_sought_from_trials_as_they_were_tried(
         load_inertia_kg_m2=hub_kg_m2,
         damping_s=1e-4,
     )
-    seen, base, tried, scales = rested(soft, 35, band_of="lag")
+    seen, base, tried, scales = rested(soft, 35, of="lag")
     coupling = [h for h in tried if h.effect == "coupling_compliance"]
     found = play_round(seen, base, coupling, material_sizes(scales), lambda _: None)
     assert set(map(repr, found.screened[0].tried)) <= set(map(repr, coupling[0].trials))

@@ -27,9 +27,9 @@ from servo_bench.diagnosis.comparing.rows import Array
 from servo_bench.diagnosis.searching.classes import class_of
 from servo_bench.diagnosis.searching.gate import material_sizes
 from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Trial, hypotheses
-from servo_bench.diagnosis.searching.scales import Scales, scales_of
+from servo_bench.diagnosis.searching.scales import Scales, band_of, scales_of
 from servo_bench.diagnosis.searching.screening import quarter_rad
-from servo_bench.diagnosis.searching.unknowns import Unknown, nuisances
+from servo_bench.diagnosis.searching.unknowns import Unknown
 from servo_bench.excitation.experiment import Experiment, Phase
 from servo_bench.recording.recording import Recording
 from sim_rig.effects import find_effect
@@ -113,7 +113,7 @@ def separation(
     recording = foreseen(plan.experiment, model)
     evidence = evidence_of([recording], model)
     scales = _scales(recording, model)
-    band = nuisances(scales.rig_torque_nm, scales.gap_rad, scales.integral_per_s)
+    band = band_of(scales, model)
     centre = _at_centre(model, band)
     templates = _templates(evidence, centre, band, scales, only, sizes)
     minutes = min(JUDGED_S, plan.experiment.schedule().duration_s) / 60.0

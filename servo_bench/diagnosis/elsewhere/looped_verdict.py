@@ -43,7 +43,8 @@ def looped_verdict(found: LoopedFinding) -> Verdict:
 def _causes(found: LoopedFinding) -> Iterator[Cause]:
     """With the confidence of data from elsewhere: stated, not calibrated."""
     numbers = quantities(found.final, found.scales)
-    told = [cause_of(one, numbers) for one in found.named]
+    there = frozenset(n.effect for n in found.named)
+    told = [cause_of(one, numbers, there) for one in found.named]
     told += [carried_cause(effect, z, numbers) for effect, z in found.missed_z.items()]
     for cause in told:
         over = gate.SECURE_Z if cause.over_rival is None else cause.over_rival

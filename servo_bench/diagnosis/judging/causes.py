@@ -29,11 +29,12 @@ FEWEST_LOST = 1
 def causes_of(finding: Finding) -> Iterator[Cause]:
     numbers = quantities(finding.final, finding.scales)
     known = dict(zip(names_of(finding.final), standard_errors(finding.final), strict=True))
-    there = frozenset({*finding.absorbed, *(n.effect for n in finding.named)})
+    there = {*finding.absorbed, *(n.effect for n in finding.named)}
+    there |= {reading.effect for reading in finding.readings}
     for one in finding.named:
         name = f"{one.effect}.{find_effect(one.effect).strengths[0]}"
         if _is_sure(one) or name not in known or abs(numbers[name].value) > SURE * known[name]:
-            yield cause_of(one, numbers, there)
+            yield cause_of(one, numbers, frozenset(there))
     if len(finding.lost.rows) >= FEWEST_LOST:
         low, high = finding.lost.interval
         yield Cause(
@@ -89,7 +90,7 @@ def cause_of(
     """A cause as a verdict tells it, beside its best rival.
 
     None are: who is beyond chance worse than nothing on what was held out, however well it may fit;
-    what is `there` as well; and a coupling by chance as good, which was passed over for a name.
+    what is `there` as well; and a coupling that led by chance, which was passed over for a name.
     """
     if one.missed_z is not None:
         return carried_cause(one.effect, one.missed_z, numbers)
@@ -104,7 +105,7 @@ def cause_of(
     rival = min(others, key=lambda c: c.total) if others else None
     over = block_z(one.contender.costs, rival.costs) if rival is not None else None
     evidence = block_z(one.contender.costs, one.round.base_costs)
-    ambiguous = tuple(sorted(members | near))
+    ambiguous = tuple(sorted(members | (near - there)))
     return Cause(
         effect=one.effect,
         parameters=_of_effect(one.effect, numbers),
@@ -118,8 +119,9 @@ def cause_of(
 
 
 def _is_passed_over(one: Named, rival: Contender) -> bool:
-    spring = rival.effect in SPRINGS - {VEHICLE}
-    return spring and abs(block_z(one.contender.costs, rival.costs)) < BY_CHANCE
+    led = rival.total < one.contender.total
+    by_chance = block_z(rival.costs, one.contender.costs) < BY_CHANCE
+    return rival.effect in SPRINGS - {VEHICLE} and led and by_chance
 
 
 def _of_effect(effect: str, numbers: dict[str, Quantity]) -> dict[str, Quantity]:

@@ -73,7 +73,7 @@ def verdict_of(finding: Finding) -> Verdict:
     error = error_figures(finding, model, [c.effect for c in named])
     return Verdict(
         verdict=kind,
-        sentence=_sentence(kind, named, strange, error, told),
+        sentence=_sentence(kind, named, strange, error, told, nominal=finding.nominal),
         causes=named,
         error=error,
         limit=tuple(limits_of(finding, named)),
@@ -185,9 +185,11 @@ def _absorbed(finding: Finding) -> Iterator[str]:
         params = finding.final.model.effects.get(effect)
         if params is not None:
             value = float(getattr(params, strength))
+            believed = finding.nominal.effects.get(effect)
+            had = "" if believed is None else f" (its file has {getattr(believed, strength):.2g})"
             yield (
-                f"{effect} is there too, {strength} = {value:.2g}: too small on this rig to be "
-                "worth a name."
+                f"{effect} is there too, {strength} = {value:.2g}{had}: too small on this rig to "
+                "be worth a name."
             )
 
 
@@ -250,6 +252,8 @@ def _sentence(
     strange: Sequence[str],
     error: ErrorFigures | None,
     tried: Sequence[Cause],
+    *,
+    nominal: Model,
 ) -> str:
     gain = ""
     if error is not None and kind == "named":
@@ -264,7 +268,7 @@ def _sentence(
             )
         gain += "."
     if kind == "named":
-        told = " and ".join(_told(c) for c in named)
+        told = " and ".join(_told(c, nominal) for c in named)
         return f"The simulation lacks {told}.{gain}"
     if kind == "none":
         return (
@@ -280,12 +284,14 @@ def _sentence(
     )
 
 
-def _told(cause: Cause) -> str:
+def _told(cause: Cause, nominal: Model) -> str:
     strength = find_effect(cause.effect).strengths[0]
+    believed = nominal.effects.get(cause.effect)
     quantity = cause.parameters.get(strength)
     size = ""
     if quantity is not None:
         unit = f" {quantity.unit}" if quantity.unit != "1" else ""
-        size = f" ({quantity.value:.3g} ± {1.96 * quantity.standard_error:.1g}{unit})"
+        had = "" if believed is None else f"; its file has {getattr(believed, strength):.3g}{unit}"
+        size = f" ({quantity.value:.3g} ± {1.96 * quantity.standard_error:.1g}{unit}{had})"
     others = f", or {' or '.join(cause.ambiguous_with)}" if cause.ambiguous_with else ""
     return f"{cause.effect.replace('_', ' ')}{size}{others.replace('_', ' ')}"

@@ -37,6 +37,8 @@ MOST = 0.5
 """Of the chips that stand in the error, the share that is whole ones where commands were lost. What
 limits or delays a reversal leaves chips of every size, and some are whole by chance."""
 FINEST_QUANTUM_RAD, COARSEST_QUANTUM_RAD = 1.5e-4, 3e-3
+FARTHEST_RAD = 2000.0
+"""Of travel, that is looked at: its histogram has 0.1 GB."""
 LATTICE, ABOUT_BINS = 5.0, 801
 """Mean of exp(2 pi j y / q) over its own rms at neighbouring q, which chance, and chips of equal
 size, bring to less than 4."""
@@ -45,7 +47,7 @@ FEWEST_COUNTS = 2.05
 HALF = 0.5
 """Of a lattice's clearness: what the command's own steps may have of it; and the least, of what
 noise leaves of a true one."""
-BY_CHANCE, BESIDE = 2.0, np.arange(2, 60)
+OVER_NEIGHBOURS, BESIDE = 2.0, np.arange(2, 60)
 """What the simulated angle has of any lattice, over its rms at these neighbours: where it stands
 still, it stands on many."""
 
@@ -178,7 +180,7 @@ def lattice(comparison: Comparison, model: Model) -> Lattice | None:
     shown = np.asarray(comparison.source.play(model, piece)["load_angle_rad"])
     shown, angle = shown[np.isfinite(angle)], angle[np.isfinite(angle)]
     travel = float(np.ptp(angle)) if angle.size else 0.0
-    if angle.size < 200 or travel < 20 * COARSEST_QUANTUM_RAD:
+    if angle.size < 200 or not 20 * COARSEST_QUANTUM_RAD < travel < FARTHEST_RAD:
         return None
     lowest, highest = 1.0 / COARSEST_QUANTUM_RAD, 1.0 / FINEST_QUANTUM_RAD
     own = _own_quantum(rows.recording, angle)
@@ -198,7 +200,8 @@ def lattice(comparison: Comparison, model: Model) -> Lattice | None:
     frequency, clear = float(near[np.argmax(refined)]), float(refined.max())
     of_command = _of_command(shown, frequency, travel)
     expected = _as_clear_as(1.0 / frequency, comparison.signals, rows.period_s)
-    if of_command > HALF * clear or clear < HALF * expected:
+    binned = float(score[stands_out].max())  # where the bins alone make it, the angle has it not
+    if of_command > HALF * clear or clear < HALF * max(expected, binned):
         return None
     return Lattice(1.0 / frequency, _spread(centred, clear, float(step)) / frequency**2, clear)
 
@@ -207,9 +210,9 @@ def _of_command(shown: Array, frequency: float, travel: float) -> float:
     """How clear the lattice is in the simulated angle; nothing where it is no clearer than by
     chance."""
     near = frequency + np.concatenate([[0.0], BESIDE, -BESIDE]) / travel
-    clear, *beside = np.abs(np.exp(2j * np.pi * np.outer(near, shown)).mean(axis=1))
+    clear, *beside = [abs(np.exp(2j * np.pi * f * shown).mean()) for f in near]
     rms = float(np.sqrt(np.mean(np.square(beside))))
-    return float(clear) if clear > BY_CHANCE * rms else 0.0
+    return float(clear) if clear > OVER_NEIGHBOURS * rms else 0.0
 
 
 def _as_clear_as(quantum_rad: float, signals: Sequence[Signal], period_s: float) -> float:
@@ -232,12 +235,12 @@ def _spread(centred: Array, clear: float, step: float) -> float:
 def _spectrum(angle: Array, travel: float, highest: float, own: float) -> tuple[Array, Array]:
     """|mean exp(2 pi j f y)| over f, 1/rad, from a fine histogram of the angle.
 
-    Its bins are a whole part of the encoder's own counts, where those are no finer: others would
-    make a lattice of the two.
+    Its bins are a whole part of the encoder's own counts, or so many of them: others would make a
+    lattice of the two.
     """
     width = 0.2 / highest
-    if own > width:
-        width = own / np.ceil(own / width)
+    if own > 0.0:
+        width = own / np.ceil(own / width) if own > width else own * np.floor(width / own)
     bins = int(np.ceil(1.05 * travel / width)) + 1
     place = np.rint((angle - angle.min()) / width).astype(np.int64)
     counted = np.bincount(place, minlength=bins).astype(np.float64)

@@ -8,7 +8,8 @@ after a    round in which nothing held what it promised, what promised less has 
            simulation is wrong by more than it may be; after the first, two at once (`in_two`)
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from servo_bench.diagnosis.comparing.evidence import Evidence, block_z
 from servo_bench.diagnosis.searching.classes import class_of
@@ -63,10 +64,10 @@ def accepted_of(played: Round, named: int, *, right: bool) -> Contender | None:
 
 
 def with_a_name(
-    accepted: Contender | None, played: Round, scales: Scales, named: int, *, right: bool
+    accepted: Contender | None, played: Round, scales: Scales, able: Callable[[Contender], bool]
 ) -> Contender | None:
     """Who is accepted; in place of a coupling that takes little, or leads by chance alone, the best
-    that has a name.
+    that is `able` and has a name.
 
     Every shaft gives way, and three free numbers of a spring fit a part of whatever is wrong: of a
     rig with a little more damping one took 4.9 % of what was seen and 19 of what was held out, the
@@ -77,7 +78,7 @@ def with_a_name(
     if accepted is None or accepted.effect not in SPRINGS - {VEHICLE}:
         return accepted
     little = min(accepted.seen_gain, accepted.held_gain) <= GIVE
-    others = (c for c in played.contenders if passes(c, named=named, right=right))
+    others = (c for c in played.contenders if able(c))
     rivals = (
         c
         for c in others
@@ -133,7 +134,8 @@ def rounds_of(
         rounds.append(played)
         failed.append(played)
         accepted = accepted_of(played, len(named), right=right) or acts_again(quick, played)
-        accepted = with_a_name(accepted, played, scales, len(named), right=right)
+        able = partial(passes, named=len(named), right=right)
+        accepted = with_a_name(accepted, played, scales, able)
         two = None
         if accepted is None and not (named or absorbed or turns) and missed > RIGHT:
             two = in_two(quick, played, asked, sizes, told)

@@ -180,7 +180,7 @@ def find_causes(
     plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
     before = misfit(whole, plain.errors)
     late = Late(quick, whole, candidates, scales, band, report)
-    noted = any(is_noted(n.effect, before) and is_worth_it(n, final, scales) for n in named)
+    noted = any(is_noted(n.effect, before) and worth_a_name(n, final, scales) for n in named)
     longer = longer_look(recordings, plain.model, block)
     joint = None if noted else asked_again(late, longer, plain, final, rounds.append)
     if joint is not None:

@@ -9,13 +9,12 @@ from collections.abc import Sequence
 
 from servo_bench.diagnosis.comparing.evidence import Evidence
 from servo_bench.diagnosis.searching.contenders import faced
-from servo_bench.diagnosis.searching.gate import A_FIFTH, material_sizes, passes
+from servo_bench.diagnosis.searching.gate import A_FIFTH, beyond_belief, material_sizes, passes
 from servo_bench.diagnosis.searching.hypotheses import Hypothesis
 from servo_bench.diagnosis.searching.joint import Named, is_worth_it, own_unknowns
-from servo_bench.diagnosis.searching.scales import Scales
+from servo_bench.diagnosis.searching.scales import Scales, as_believed
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unknowns import widened
-from sim_rig.effects import backlash_width
 
 GAP, FREE = "backlash_width", ("change_rad",)
 THIRD = 0.35
@@ -29,11 +28,10 @@ def play_gap(
     """The gap as a cause, where that of the drawing leaves a fifth more of the error."""
     hypothesis = next((h for h in candidates if h.effect == GAP), None)
     least_rad = THIRD * material_sizes(scales)[GAP]
-    params = final.model.effects.get(GAP, backlash_width.Params())
-    if hypothesis is None or abs(float(params.change_rad)) < least_rad:
+    if hypothesis is None or beyond_belief(final.model, GAP, scales) < least_rad:
         return None
     others = tuple(u for u in final.unknowns if u.effect != GAP)
-    drawn = final.model.without(GAP)
+    drawn = as_believed(final.model, GAP, scales)
     base = seek(whole, drawn, others, final.sigma, iterations=4)
     own = widened(GAP, FREE, final.model, least_rad)
     found = seek(whole, final.model, (*others, *own), final.sigma, iterations=2, first=2)

@@ -43,7 +43,7 @@ LINES = frozenset({"cogging", "torque_ripple"})
 """A line at an order of the shaft is like nothing else, so that their sizes are low: from little
 more than what every rig of the trials has beside its drawing (0.13 mN m) to six times that, by the
 rig's torque. Half of them is not enough."""
-FRICTION = "load_friction"
+FRICTION, GAIN = "load_friction", "proportional_gain_error"
 WITHIN = frozenset(
     {
         "coulomb",
@@ -51,13 +51,13 @@ WITHIN = frozenset(
         "current_loop_lag",
         "velocity_filter_lag",
         "transport_delay",
-        "proportional_gain_error",
+        GAIN,
         FRICTION,
     }
 )
-"""What every rig has up to nearly such a size: half of it is no cause, however much its shape may
-gain where little is wrong. So is a gap, but a little of that is one (`gap`).
-"""
+"""What every rig has up to nearly such a size (a gain where the loop is stiff): half of it is no
+cause, however much its shape may gain where little is wrong. So is a gap, but a little of that is
+one (`gap`)."""
 
 WARMING, FORETOLD_Z = frozenset({"thermal_torque_constant"}), 10.0
 """What is held out comes last, and has most of it. Of friction another speed would do the same."""
@@ -79,7 +79,7 @@ def material_sizes(s: Scales) -> dict[str, float]:
         "torque_ripple": 0.002,
         "torque_constant_error": 0.0125,
         "inertia_error": 0.0125,
-        "proportional_gain_error": max(0.0125, 1.1 * HALF_PERIOD_S * s.integral_per_s),
+        GAIN: max(0.0125, 1.1 * HALF_PERIOD_S * s.integral_per_s),
         "integral_gain_error": 0.0125,
         "torque_constant_droop": 0.01 / s.currents_a[0] ** 2,
         "thermal_torque_constant": 0.025,
@@ -121,13 +121,29 @@ def is_material(model: Model, effect: str, scales: Scales, held_gain: float = 0.
     is more than what every fit has free.
     """
     sizes = material_sizes(scales)
-    if effect == VEHICLE and strength_of(model, FRICTION) >= sizes[FRICTION]:
+    if effect == VEHICLE and beyond_belief(model, FRICTION, scales) >= sizes[FRICTION]:
         return is_felt(model)  # its mass is the cause, and what gives way is beside
     if effect in SPRINGS and held_gain < GIVE:
         return False
     size = sizes.get(effect, 0.0)
-    enough = HALF if held_gain > A_FIFTH and effect not in LINES | WITHIN else 1.0
-    return abs(strength_of(model, effect)) >= enough * size
+    within = LINES | WITHIN
+    if effect == GAIN and HALF * size > HALF_PERIOD_S * scales.integral_per_s:
+        within -= {GAIN}
+    enough = HALF if held_gain > A_FIFTH and effect not in within else 1.0
+    return beyond_belief(model, effect, scales) >= enough * size
+
+
+def beyond_belief(model: Model, effect: str, scales: Scales) -> float:
+    """How much of its first strength a model has beside what the rig's file has; of a wave, across
+    their phases."""
+    size, params = strength_of(model, effect), dict(scales.believed).get(effect)
+    if params is None:
+        return abs(size)
+    believed = float(getattr(params, find_effect(effect).strengths[0]))
+    turned = 0.0
+    if "phase_rad" in params._fields and effect in model.effects:
+        turned = float(model.effects[effect].phase_rad) - float(params.phase_rad)
+    return float(abs(size * np.exp(1j * turned) - believed))
 
 
 def is_felt(model: Model) -> bool:
@@ -162,15 +178,15 @@ def passes_beside_coasting(contender: Contender, *, right: bool) -> bool:
     """Whether a contender is beyond chance beside a load that coasts, and nothing else.
 
     Where the load goes in its gap is most of the cost there, so that what stands far out in both
-    parts need not take much of it. A spring must, which fits a part of whatever the load does; and
-    what every rig has up to nearly a cause's size, of what was seen.
+    parts need not take much of it. A spring must, which fits a part of whatever the load does, or
+    stand far out; and so must what every rig has up to nearly a cause's size, of what was seen.
     """
     if contender.effect in SPRINGS:
         return passes(contender, right=right) or stands_far_out(contender)
     least_gain = min(contender.seen_gain, contender.held_gain)
     sure = contender.seen_z > SEEN_Z and contender.held_z > HELD_Z and least_gain > COASTING_GAIN
-    if contender.effect in WITHIN and contender.seen_gain < MUCH:
-        return passes(contender, right=right)
+    if contender.effect in WITHIN:
+        return passes(contender, right=right) or (sure and contender.seen_gain > MUCH)
     return sure
 
 

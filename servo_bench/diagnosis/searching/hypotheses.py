@@ -64,6 +64,10 @@ DETECTED = frozenset({"missed_samples", "quantisation"})
 """Found by looking for them in the data (`hygiene`), not by trying sizes."""
 
 
+SOME = 0.1
+"""Of its size, that a trial has at least of an effect that a rig's file has already."""
+
+
 @dataclass(frozen=True)
 class Trial:
     """One setting of an effect; `beside` are effects that carry it; `size` that of its strength.
@@ -198,7 +202,7 @@ def hypotheses(
     only: Sequence[str] = (),
 ) -> tuple[Hypothesis, ...]:
     """All that can be tried on this rig, `without` some that carry no other effect either."""
-    found = []
+    found, believed = [], dict(scales.believed)
     for name, effect in catalogue().items():
         if name in DETECTED or name in without or (only and name not in only):
             continue
@@ -211,11 +215,24 @@ def hypotheses(
             trials = tuple(_crossing(crossed_s))
         if name == VEHICLE:
             trials += tuple(_slowed(scales))
+        if name in believed and "phase_rad" not in effect.params._fields:
+            trials = tuple(_about(trials, float(getattr(believed[name], effect.strengths[0]))))
         if trials:
             found.append(Hypothesis(name, trials, _FREE.get(name) or _default_free(effect)))
         if name == "cogging" and waves:
             found.append(_as_measured(waves))
     return tuple(found)
+
+
+def _about(trials: Sequence[Trial], believed: float) -> Iterator[Trial]:
+    """The trials beside what the rig's file has: more of it, and less; none of which is nothing."""
+    sizes = [next(iter(trial.settings.values())) for trial in trials]
+    signed = min(sizes, default=0.0) < 0.0
+    for trial, size in zip(trials, sizes, strict=True):
+        strength = next(iter(trial.settings))
+        for value in (believed + size, *(() if signed else (believed - size,))):
+            if abs(value) > SOME * abs(size) and (signed or value > 0.0):
+                yield replace(trial, settings={**trial.settings, strength: value})
 
 
 def _as_measured(waves: Sequence[Wave]) -> Hypothesis:

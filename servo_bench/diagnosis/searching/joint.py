@@ -34,7 +34,8 @@ from sim_rig.model import Model
 
 NEEDED_Z, NEEDED_SHARE = 4.0, 0.01
 SOME = 0.04
-"""Of what was seen, and of what was held out, that a coupling takes at least."""
+"""Of what was seen, and of what was held out, that a coupling takes at least; or it stands far out
+beside a load that coasts."""
 CARRIERS = {"anti_windup": "current_limit"}
 """Effects that act beside another only, which is a cause by itself."""
 

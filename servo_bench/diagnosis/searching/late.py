@@ -10,11 +10,13 @@ gap      where nothing else is wrong: one that is so by a little (`gap`)
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from servo_bench.diagnosis.comparing.evidence import Evidence
+from servo_bench.diagnosis.searching.accepting import with_a_name
 from servo_bench.diagnosis.searching.classes import class_of
 from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting, with_coasting
 from servo_bench.diagnosis.searching.contenders import REFINES, Contender, Round
@@ -92,8 +94,9 @@ def asked_again(
             however_small=LINES,
         )
         report(played)
-        able = (c for c in _no_plainer(played) if passes_beside_coasting(c, right=right))
-        found = next(able, None)
+        able = partial(passes_beside_coasting, right=right)
+        found = next((c for c in _no_plainer(played) if able(c)), None)
+        found = with_a_name(found, played, late.scales, able)
         if found is None:
             return None
         named = Named(found.effect, played, found, own_unknowns(found, found.effect))
@@ -152,10 +155,16 @@ def held_back(final: Found) -> frozenset[str]:
     """K_T and J where their bands hold back what they are known by, K_T/J: both are at the end that
     makes it larger, or both at the one that makes it smaller."""
     pairs = zip(final.unknowns, final.values, strict=True)
-    share = {u.effect: float(v) / u.high for u, v in pairs if u.effect in RATIO and u.high < np.inf}
+    share = {u.effect: _of_band(u, float(v)) for u, v in pairs if u.effect in RATIO}
     first, second = (share.get(effect, 0.0) for effect in RATIO)
     strained = first * second < 0.0 and min(abs(first), abs(second)) > AT_ITS_END
     return frozenset(RATIO) if strained else frozenset()
+
+
+def _of_band(unknown: Unknown, value: float) -> float:
+    """Where in its band a number stands, -1 to 1; 0 where it has none."""
+    middle = 0.5 * (unknown.low + unknown.high)
+    return (value - middle) / (unknown.high - middle) if np.isfinite(unknown.deviation) else 0.0
 
 
 def unsure(failed: Sequence[Round]) -> frozenset[str]:

@@ -49,8 +49,9 @@ def stands_at_its_end(unknown: Unknown, value: float) -> bool:
     """Whether a number is held back by its band alone."""
     if not np.isfinite(unknown.deviation):
         return False
-    high = value > AT_ITS_END * unknown.high
-    return high or (unknown.low < 0.0 and value < AT_ITS_END * unknown.low)
+    middle = 0.5 * (unknown.low + unknown.high) if unknown.low != 0.0 else 0.0
+    room = (1.0 - AT_ITS_END) * (unknown.high - middle)
+    return value > unknown.high - room or (unknown.low != 0.0 and value < unknown.low + room)
 
 
 def without_stand_ins(
@@ -91,6 +92,8 @@ def doubts(
             continue
         try:
             less = without_effect(whole, final, effect, band)
+            if not is_needed(final, less):  # nor before: a gap that is wrong within its band
+                continue
             instead = _instead(whole, final, effect, band, free, less=less)
         except EffectError:  # the others need it
             continue
@@ -117,10 +120,8 @@ def _instead(
     less: Found,
     keeps: float = KEEPS,
 ) -> tuple[str, ...]:
-    """What does as well as an effect, where it is `free`; nothing where the effect is missed, or
-    was not missed by `less` either: a gap that is wrong within its band."""
-    if not is_needed(final, less):
-        return ()
+    """What does as well as an effect, which `less` is without, where it is `free`; nothing where
+    the effect is missed all the same."""
     names = {u.name for u in free}
     unknowns = [_let_go(u) if u.name in names else u for u in final.unknowns]
     usual = [_let_go(u) if u.name in names else u for u in band]
@@ -146,5 +147,8 @@ def _in_its_shape(model: Model, effect: str) -> Model:
 
 
 def _let_go(unknown: Unknown) -> Unknown:
-    low, high = WIDE * unknown.low, WIDE * unknown.high
+    """Free as far as a cause of its name may go."""
+    prior = next(p.prior for p in find_effect(unknown.effect).parameters if p.name == unknown.field)
+    low = max(min(WIDE * unknown.low, prior.low), prior.least) if unknown.low != 0.0 else 0.0
+    high = min(max(WIDE * unknown.high, prior.high), prior.most)
     return replace(unknown, low=low, high=high, deviation=np.inf)

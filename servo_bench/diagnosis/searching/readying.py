@@ -18,9 +18,9 @@ from servo_bench.diagnosis.reading.orders import MotorLines, Wave, motor_lines, 
 from servo_bench.diagnosis.reading.times import filled, jitter_s, on_even_times, with_rows_in_holes
 from servo_bench.diagnosis.searching.hypotheses import cogging_of
 from servo_bench.diagnosis.searching.rounds import Told
-from servo_bench.diagnosis.searching.scales import Scales, scales_of
+from servo_bench.diagnosis.searching.scales import Scales, band_of, scales_of
 from servo_bench.diagnosis.searching.seeking import Found, seek
-from servo_bench.diagnosis.searching.unknowns import Unknown, nuisances
+from servo_bench.diagnosis.searching.unknowns import Unknown
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 
@@ -67,7 +67,7 @@ def made_ready(
     quick = quick_evidence(recordings, model, _quick_rows(recordings), block=block)
     longest_s = max(len(recording) * recording.period_s for recording in recordings)
     scales = _scales(quick, model)._replace(seconds=longest_s)
-    band = nuisances(scales.rig_torque_nm, scales.gap_rad, scales.integral_per_s)
+    band = band_of(scales, model)
     base = seek(quick, model, band, iterations=4)
     timed = _timed(recordings, held_out, quick, base, block)
     if timed.notes:

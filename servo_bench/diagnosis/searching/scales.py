@@ -4,11 +4,16 @@ From the nominal rig's own simulation, so that a rig ten times as large is asked
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from servo_bench.diagnosis.searching.unknowns import USUAL_INERTIA_KG_M2
+from servo_bench.diagnosis.searching.unknowns import (
+    USUAL_INERTIA_KG_M2,
+    Unknown,
+    about,
+    nuisances,
+)
 from sim_rig.model import Model
 
 USUAL_TORQUE_NM, LIGHTEST = 0.036, 0.4
@@ -18,7 +23,10 @@ BETWEEN_S = 5e-4
 
 
 class Scales(NamedTuple):
-    """How large things are on this rig under this excitation; SI."""
+    """How large things are on this rig under this excitation; SI.
+
+    `believed`: the effects that the rig's file has already, with their parameters.
+    """
 
     torque_nm: float
     speed_rad_s: float
@@ -33,6 +41,7 @@ class Scales(NamedTuple):
     integral_peak_a: float = 0.0
     seconds: float = 0.0
     integral_per_s: float = 0.0
+    believed: tuple[tuple[str, Any], ...] = ()
 
     @property
     def rig_torque_nm(self) -> float:
@@ -82,14 +91,21 @@ def scales_of(model: Model, commands_rad_s: np.ndarray, durations_s: np.ndarray 
         gap_rad=nominal.backlash_gap_rad,
         inertia_kg_m2=nominal.inertia_kg_m2,
         seconds=done.end.time_s,
-        integral_per_s=_integral_per_s(model),
+        integral_per_s=nominal.integral_gain_a_per_rad / nominal.proportional_gain_a_s_per_rad,
+        believed=tuple(model.effects.items()),
     )
 
 
-def _integral_per_s(model: Model) -> float:
-    """K_I over K_P; zero of a drive without a K_P."""
-    proportional = model.nominal.proportional_gain_a_s_per_rad
-    return model.nominal.integral_gain_a_per_rad / proportional if proportional > 0.0 else 0.0
+def band_of(scales: Scales, model: Model) -> tuple[Unknown, ...]:
+    """What every fit has free on this rig, about what its file has."""
+    return about(nuisances(scales.rig_torque_nm, scales.gap_rad, scales.integral_per_s), model)
+
+
+def as_believed(model: Model, effect: str, scales: Scales) -> Model:
+    """The model with an effect as the rig's file has it: mostly without."""
+    params = dict(scales.believed).get(effect)
+    without = model.without(effect)
+    return without if params is None else without.with_effect(effect, **params._asdict())
 
 
 def _within(

@@ -15,6 +15,7 @@ is ahead of the continuous one by T/2 of that, which is a K_P that is larger by 
 Euler; forward, smaller).
 
 A cause of the same name is one that leaves its band; a gap's error may be one within it (`gap`).
+Where a rig's file has an effect already, its band is about that (`about`).
 """
 
 from collections.abc import Sequence
@@ -129,6 +130,19 @@ def nuisances(
         *((("proportional_gain_error", "error_fraction", -gain, gain),) if gain > 0.0 else ()),
     )
     return tuple(_band(*band) for band in bands)
+
+
+def about(band: Sequence[Unknown], model: Model) -> tuple[Unknown, ...]:
+    """The bands about what a rig's file has already: as far to both sides of that."""
+    return tuple(_about(unknown, unknown.of(model)) for unknown in band)
+
+
+def _about(unknown: Unknown, believed: float) -> Unknown:
+    if believed == 0.0:
+        return unknown
+    low, high = believed - unknown.high, believed + unknown.high
+    least = -np.inf if unknown.low < 0.0 else 0.0
+    return replace(unknown, low=max(low, least), high=high, centre=believed)
 
 
 def delay_that_is_crossed() -> Unknown:

@@ -237,15 +237,22 @@ def test_a_doubt_is_told_with_who_makes_it(
         ({"coupling_compliance": 0.1}, frozenset[str](), "coupling_compliance"),
         ({"coupling_compliance": -0.1}, frozenset[str](), None),
         ({"viscous": -0.1}, frozenset[str](), "viscous"),
+        ({"misalignment": 0.1, "viscous": 2.0}, frozenset[str](), "viscous"),
     ],
 )
 def test_who_is_a_rival_of_a_cause(
     others: dict[str, float], there: frozenset[str], rival: str | None
 ) -> None:
-    """Not what is there as well, nor a coupling that led by chance and was passed over."""
+    """Not what is there as well, nor who makes what was held out worse, nor a coupling that led by
+    chance and was passed over."""
     costs = 10.0 + np.random.default_rng(2).normal(size=40)
     fitted: list[Any] = [
-        SimpleNamespace(effect=effect, costs=costs + leads, total=(costs + leads).sum(), held_z=9.0)
+        SimpleNamespace(
+            effect=effect,
+            costs=costs + leads,
+            total=(costs + leads).sum(),
+            held_gain=-0.01 if effect == "misalignment" else 0.1,
+        )
         for effect, leads in {"stribeck": 0.0, **others}.items()
     ]
     fitted[0].costs = np.full(40, 10.0)

@@ -15,7 +15,7 @@ from servo_bench.diagnosis.judging.verdict import Cause, Quantity
 from servo_bench.diagnosis.searching.classes import class_of, splitting
 from servo_bench.diagnosis.searching.contenders import BY_CHANCE, Contender
 from servo_bench.diagnosis.searching.finding import Finding
-from servo_bench.diagnosis.searching.gate import HELD_Z, MOST_OF_IT
+from servo_bench.diagnosis.searching.gate import MOST_OF_IT
 from servo_bench.diagnosis.searching.hypotheses import SPRINGS, VEHICLE
 from servo_bench.diagnosis.searching.joint import Named
 from sim_rig.effects import find_effect
@@ -89,8 +89,8 @@ def cause_of(
 ) -> Cause:
     """A cause as a verdict tells it, beside its best rival.
 
-    None are: who is beyond chance worse than nothing on what was held out, however well it may fit;
-    what is `there` as well; and a coupling that led by chance, which was passed over for a name.
+    None are: who does worse than nothing on what was held out, however well it may fit; what is
+    `there` as well; and a coupling that led by chance, which was passed over for a name.
     """
     if one.missed_z is not None:
         return carried_cause(one.effect, one.missed_z, numbers)
@@ -99,7 +99,7 @@ def cause_of(
     members = class_of(one.effect) - {one.effect}
     near = {c.effect for c in one.round.near(one.contender)} - {one.effect}
     out = members | there
-    others = [c for c in rivals if c.effect not in out and c.held_z > -HELD_Z]
+    others = [c for c in rivals if c.effect not in out and c.held_gain > 0.0]
     if one.effect not in SPRINGS:
         others = [c for c in others if not _is_passed_over(one, c)]
     rival = min(others, key=lambda c: c.total) if others else None

@@ -8,7 +8,11 @@ import pytest
 from servo_bench.diagnosis.judging.judgement import verdict_of
 from servo_bench.diagnosis.searching import letting_go
 from servo_bench.diagnosis.searching.finding import find_causes
-from servo_bench.diagnosis.searching.letting_go import stands_at_its_end, without_stand_ins
+from servo_bench.diagnosis.searching.letting_go import (
+    stands_at_its_end,
+    without_idle,
+    without_stand_ins,
+)
 from servo_bench.diagnosis.searching.unknowns import nuisances
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, recorded
@@ -70,3 +74,31 @@ def test_a_coupling_that_a_little_more_damping_would_be_has_no_name(
     less, named = without_stand_ins(nothing, final, [one], nuisances(0.1, 0.02))
     assert (named == [one]) is kept
     assert (less is final) is kept
+
+
+@pytest.mark.parametrize(
+    ("effect", "missed", "rounds", "left"),
+    [
+        ("anti_windup", True, (), ["anti_windup"]),
+        ("anti_windup", False, ("current_limit",), ["current_limit"]),
+        ("anti_windup", False, ("viscous",), []),  # both stood in for something else
+        ("coulomb", False, (), ["coulomb"]),
+    ],
+)
+def test_what_acts_beside_another_is_no_cause_where_that_would_do(
+    monkeypatch: pytest.MonkeyPatch,
+    effect: str,
+    missed: bool,
+    rounds: tuple[str, ...],
+    left: list[str],
+) -> None:
+    monkeypatch.setattr(letting_go, "without_effect", lambda *_: None)
+    monkeypatch.setattr(letting_go, "is_needed", lambda *_: missed)
+    monkeypatch.setattr(
+        letting_go, "carried_by", lambda _, carrier: SimpleNamespace(effect=carrier)
+    )
+    played = SimpleNamespace(contenders=[SimpleNamespace(effect=one) for one in rounds])
+    one: Any = SimpleNamespace(effect=effect, round=played)
+    nothing: Any = None
+    _, named = without_idle(nothing, nothing, [one], ())
+    assert [n.effect for n in named] == left

@@ -67,7 +67,12 @@ from servo_bench.diagnosis.searching.late import (
     asked_late,
     unsure,
 )
-from servo_bench.diagnosis.searching.letting_go import Doubt, doubts, without_stand_ins
+from servo_bench.diagnosis.searching.letting_go import (
+    Doubt,
+    doubts,
+    without_idle,
+    without_stand_ins,
+)
 from servo_bench.diagnosis.searching.lighter import on_a_light_load
 from servo_bench.diagnosis.searching.reading_off import READ_OFF, with_readings
 from servo_bench.diagnosis.searching.readying import (
@@ -176,7 +181,7 @@ def find_causes(
         final, named = fit_jointly(whole, final, named, band, report, small=len(absorbed))
     final, named = run_off(whole, final, named, band, report)
     final, named = on_a_light_load(whole, final, named, band, report)
-    final, named = without_stand_ins(whole, final, named, band)
+    final, named = without_stand_ins(whole, *without_idle(whole, final, named, band), band)
     plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
     before = misfit(whole, plain.errors)
     late = Late(quick, whole, candidates, scales, band, report)
@@ -255,12 +260,14 @@ def _worth_telling(
     late: Late, final: Found, named: list[Named], before: Array, *, anew: bool
 ) -> tuple[Found, list[Named], list[str]]:
     """The final fit, its causes that are worth a name, with what they need beside them, and effects
-    that are too small for one. Where it was made `anew`, a coupling is looked at once more."""
+    that are too small for one. Where it was made `anew`, what may have stood in for others is
+    looked at once more."""
     scales = late.scales
     if not is_coasting(final.model):  # its contact is no vehicle that a cause was tried on
         vehicle = needed_vehicle(late.whole, final, named, late.band, late.report)
         named = [*named, *vehicle]
     if anew:
+        final, named = without_idle(late.whole, final, named, late.band)
         final, named = without_stand_ins(late.whole, final, named, late.band)
     coasts = is_coasting(final.model)  # what is left beside that is hardly anything else
     noted = [n for n in named if coasts or is_noted(n.effect, before)]

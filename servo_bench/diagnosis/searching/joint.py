@@ -160,9 +160,12 @@ def worth_a_name(one: Named, found: Found, scales: Scales) -> tuple[Named, ...]:
     if is_worth_it(one, found, scales):
         return (one,)
     carrier = CARRIERS.get(one.effect)
-    if carrier is None:
-        return ()
-    return (replace(one, effect=carrier, unknowns=own_unknowns(one.contender, carrier)),)
+    return () if carrier is None else (carried_by(one, carrier),)
+
+
+def carried_by(one: Named, carrier: str) -> Named:
+    """The effect that a cause acted beside, in its place."""
+    return replace(one, effect=carrier, unknowns=own_unknowns(one.contender, carrier))
 
 
 def without_effect(

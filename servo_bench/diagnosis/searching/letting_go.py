@@ -19,7 +19,14 @@ from servo_bench.diagnosis.comparing.evidence import Evidence
 from servo_bench.diagnosis.searching.classes import class_of
 from servo_bench.diagnosis.searching.contenders import REFINES
 from servo_bench.diagnosis.searching.hypotheses import SPRINGS, VEHICLE
-from servo_bench.diagnosis.searching.joint import Named, is_needed, share_of, without_effect
+from servo_bench.diagnosis.searching.joint import (
+    CARRIERS,
+    Named,
+    carried_by,
+    is_needed,
+    share_of,
+    without_effect,
+)
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unknowns import WIDE, Unknown
 from sim_rig.effects import find_effect
@@ -73,6 +80,31 @@ def without_stand_ins(
             )
         if not needed:
             final = less
+            kept.remove(one)
+    return final, kept
+
+
+def without_idle(
+    whole: Evidence, final: Found, named: Sequence[Named], band: Sequence[Unknown]
+) -> tuple[Found, list[Named]]:
+    """The fit without what acts beside another only, where that alone would do.
+
+    The other has its name where it competed too. Where it did not, the two stood in for something
+    else together: beside a K_T that droops, and beside a supply that sags, an anti-windup took 40
+    % of what was held out, and its limit all of that.
+    """
+    kept = list(named)
+    for place, one in enumerate(named):
+        carrier = CARRIERS.get(one.effect)
+        if carrier is None or any(n.effect == carrier for n in named):
+            continue
+        less = without_effect(whole, final, one.effect, band)
+        if is_needed(final, less):
+            continue
+        if any(c.effect == carrier for c in one.round.contenders):
+            final, kept[place] = less, carried_by(one, carrier)
+        else:
+            final = without_effect(whole, less, carrier, band)
             kept.remove(one)
     return final, kept
 

@@ -146,6 +146,16 @@ def test_a_spike_beyond_all_travel_takes_no_memory() -> None:
     assert lattice(compare(with_channels(clean, load_angle_rad=angle), MODEL), MODEL) is None
 
 
+def test_a_lattice_is_found_beside_a_word_that_was_spoilt() -> None:
+    coarse = MODEL.with_effect("quantisation", count_rad=1e-3)
+    angle = np.array(recorded(coarse, 14, slots=SLOTS)["load_angle_rad"])
+    angle[100] = 4e5
+    run = with_channels(recorded(coarse, 14, slots=SLOTS), load_angle_rad=angle)
+    found = lattice(compare(run, MODEL, scales=SCALES), MODEL)
+    assert found is not None
+    assert found.quantum_rad == pytest.approx(1e-3, rel=1e-3)
+
+
 def test_an_angle_that_is_but_partly_on_a_lattice_has_none() -> None:
     """A third of the rows, as chips of equal size leave it: of one that an encoder makes this noise
     leaves nine tenths."""

@@ -14,6 +14,7 @@ from servo_bench.diagnosis.searching.letting_go import (
     without_stand_ins,
 )
 from servo_bench.diagnosis.searching.unknowns import nuisances
+from sim_rig.errors import EffectError
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, recorded
 
@@ -102,3 +103,19 @@ def test_what_acts_beside_another_is_no_cause_where_that_would_do(
     nothing: Any = None
     _, named = without_idle(nothing, nothing, [one], ())
     assert [n.effect for n in named] == left
+
+
+def test_a_coupling_that_others_need_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A load's friction rubs behind it: without the coupling there is no such rig."""
+
+    def no_rig(*_: Any, **__: Any) -> None:
+        raise EffectError("load_friction needs a load")
+
+    monkeypatch.setattr(letting_go, "_holds", lambda *_: True)
+    monkeypatch.setattr(letting_go, "without_effect", no_rig)
+    one: Any = SimpleNamespace(effect="coupling_compliance")
+    nothing: Any = None
+    final: Any = SimpleNamespace()
+    less, named = without_stand_ins(nothing, final, [one], nuisances(0.1, 0.02))
+    assert less is final
+    assert named == [one]

@@ -18,7 +18,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from servo_bench.diagnosis.comparing.comparison import Comparison, Signal
 from servo_bench.diagnosis.comparing.rounding import ROUNDED, rounding_of
-from servo_bench.diagnosis.comparing.rows import Array
+from servo_bench.diagnosis.comparing.rows import Array, Mask
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 
@@ -37,8 +37,10 @@ MOST = 0.5
 """Of the chips that stand in the error, the share that is whole ones where commands were lost. What
 limits or delays a reversal leaves chips of every size, and some are whole by chance."""
 FINEST_QUANTUM_RAD, COARSEST_QUANTUM_RAD = 1.5e-4, 3e-3
-FARTHEST_RAD = 2000.0
-"""Of travel, that is looked at: its histogram has 0.1 GB."""
+FEWEST_ROWS = 200
+FARTHEST_RAD = 250.0
+"""From the middle of its angles, that is looked at: its histogram and spectrum have half a GB. A
+word that the line spoilt lies farther off."""
 LATTICE, ABOUT_BINS = 5.0, 801
 """Mean of exp(2 pi j y / q) over its own rms at neighbouring q, which chance, and chips of equal
 size, bring to less than 4."""
@@ -178,9 +180,10 @@ def lattice(comparison: Comparison, model: Model) -> Lattice | None:
         return None
     angle = rows.channel("load_angle_rad")[piece.rows]
     shown = np.asarray(comparison.source.play(model, piece)["load_angle_rad"])
-    shown, angle = shown[np.isfinite(angle)], angle[np.isfinite(angle)]
+    looked_at = _near_the_middle(angle)
+    shown, angle = shown[looked_at], angle[looked_at]
     travel = float(np.ptp(angle)) if angle.size else 0.0
-    if angle.size < 200 or not 20 * COARSEST_QUANTUM_RAD < travel < FARTHEST_RAD:
+    if angle.size < FEWEST_ROWS or travel < 20 * COARSEST_QUANTUM_RAD:
         return None
     lowest, highest = 1.0 / COARSEST_QUANTUM_RAD, 1.0 / FINEST_QUANTUM_RAD
     own = _own_quantum(rows.recording, angle)
@@ -204,6 +207,15 @@ def lattice(comparison: Comparison, model: Model) -> Lattice | None:
     if of_command > HALF * clear or clear < HALF * max(expected, binned):
         return None
     return Lattice(1.0 / frequency, _spread(centred, clear, float(step)) / frequency**2, clear)
+
+
+def _near_the_middle(angle: Array) -> Mask:
+    """Rows whose angle came and is no farther from the others than is looked at, shape (rows,)."""
+    came = np.isfinite(angle)
+    if not came.any():
+        return came
+    near = np.abs(angle - np.median(angle[came])) < FARTHEST_RAD
+    return np.asarray(came & near)
 
 
 def _of_command(shown: Array, frequency: float, travel: float) -> float:

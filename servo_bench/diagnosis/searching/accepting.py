@@ -72,8 +72,8 @@ def with_a_name(
     Every shaft gives way, and three free numbers of a spring fit a part of whatever is wrong: of a
     rig with a little more damping one took 4.9 % of what was seen and 19 of what was held out, the
     damping 4.9 and 8. Two couplings that were named before any load coasts took 36 % and more. Of
-    five that were there each led the next by 6 standard deviations, one that a wrong inertia had
-    brought about by 0.2.
+    five that were there each led the next by 4 standard deviations and more, one that a wrong
+    inertia had brought about by 0.2.
     """
     if accepted is None or accepted.effect not in SPRINGS - {VEHICLE}:
         return accepted

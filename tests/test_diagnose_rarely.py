@@ -67,9 +67,24 @@ def test_what_comes_after_the_beginning_is_neither_fitted_nor_held_out() -> None
 
 def test_where_nothing_came_after_the_beginning_nothing_acts_again() -> None:
     """A recording that is no longer than its own quick look, whole or cut."""
-    empty = SimpleNamespace(cost=lambda _: 0.0)
-    quick: Any = SimpleNamespace(after=lambda _: (empty, empty))
-    model = SimpleNamespace(model=MODEL)
-    clamp = SimpleNamespace(seen_gain=0.2, seen_z=5.0, held_gain=0.0, found=model)
-    played: Any = SimpleNamespace(contenders=(clamp,), base=model, sigma=None)
+    empty, held = SimpleNamespace(cost=lambda _: 0.0), SimpleNamespace(cost=lambda _: 1.0)
+    asked: list[Model] = []
+
+    def after(models: list[Model]) -> list[SimpleNamespace]:
+        asked.extend(models)
+        return [empty] * len(models)
+
+    quick: Any = SimpleNamespace(after=after, held_out=lambda models: [held] * len(models))
+    rig = MODEL.with_effect("integrator_clamp", clamp_per_a=1.0)
+    clamp = SimpleNamespace(
+        effect="integrator_clamp",
+        seen_gain=0.2,
+        seen_z=5.0,
+        held_z=0.0,
+        held=held,
+        found=SimpleNamespace(model=rig),
+    )
+    base = SimpleNamespace(model=MODEL)
+    played: Any = SimpleNamespace(contenders=(clamp,), base=base, sigma=None)
     assert acts_again(quick, played) is None
+    assert asked == [MODEL, rig]

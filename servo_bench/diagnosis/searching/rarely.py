@@ -11,17 +11,19 @@ from dataclasses import replace
 from servo_bench.diagnosis.comparing.evidence import Evidence, block_z
 from servo_bench.diagnosis.searching.contenders import Contender, Round
 from servo_bench.diagnosis.searching.gate import HELD_Z, MUCH, passes
+from sim_rig.errors import EffectError
 
 SILENT = 0.02
-"""Of the held-out cost: who changes less does not act there. The nuisances that were fitted beside
-it change so much."""
+"""Of the held-out cost: what changes no more of it, taken away alone, does not act there."""
 
 
 def acts_again(quick: Evidence, played: Round) -> Contender | None:
     """The best contender that took much of what was fitted and does not act in what is held out,
     held against what came after the beginning instead: beyond chance there, and much of that."""
     for one in played.contenders:
-        if one.seen_gain < MUCH or one.seen_z < HELD_Z or abs(one.held_gain) > SILENT:
+        if one.seen_gain < MUCH or one.seen_z < HELD_Z or one.held_z < -HELD_Z:
+            continue
+        if not _is_silent(quick, played, one):
             continue
         base, found = quick.after([played.base.model, one.found.model])
         before, after = base.cost(played.sigma), found.cost(played.sigma)
@@ -32,3 +34,17 @@ def acts_again(quick: Evidence, played: Round) -> Contender | None:
         if passes(held):
             return held
     return None
+
+
+def _is_silent(quick: Evidence, played: Round, one: Contender) -> bool:
+    """Whether it does nothing in what is held out. What it gains there would not tell: that is what
+    the nuisances do that were fitted beside it."""
+    model, base = one.found.model, played.base.model
+    own = {one.effect, *(model.effects.keys() - base.effects.keys())}
+    try:
+        less = model.without(*own)
+    except EffectError:  # nothing is left that makes a rig
+        return False
+    (alone,) = quick.held_out([less])
+    here, there = one.held.cost(played.sigma), alone.cost(played.sigma)
+    return abs(there - here) < SILENT * here

@@ -5,9 +5,9 @@ from dataclasses import asdict
 import pytest
 
 from servo_bench.diagnosis.comparing.evidence import evidence_of
-from servo_bench.diagnosis.searching.gate import material_sizes
 from servo_bench.diagnosis.searching.scales import scales_of
 from servo_bench.diagnosis.searching.seeking import seek
+from servo_bench.diagnosis.searching.sizes import material_sizes
 from servo_bench.diagnosis.searching.unknowns import Unknown, nuisances
 from sim_rig.model import Model
 from sim_rig.settings import Nominal

@@ -7,12 +7,13 @@ from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.searching.approaching import KEPT, approached
 from servo_bench.diagnosis.searching.finding import find_causes
 from servo_bench.diagnosis.searching.gap import play_gap
-from servo_bench.diagnosis.searching.gate import RIGHT, material_sizes
+from servo_bench.diagnosis.searching.gate import RIGHT
 from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Trial, hypotheses
 from servo_bench.diagnosis.searching.rounds import play_round
 from servo_bench.diagnosis.searching.scales import Scales, band_of, scales_of
 from servo_bench.diagnosis.searching.screening import Screened, screen, towards
 from servo_bench.diagnosis.searching.seeking import Found, seek
+from servo_bench.diagnosis.searching.sizes import material_sizes
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, PERIOD_S, recorded
 

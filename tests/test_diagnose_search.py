@@ -14,7 +14,6 @@ from servo_bench.diagnosis.searching.finding import find_causes, nothing_told
 from servo_bench.diagnosis.searching.gate import (
     is_material,
     is_noted,
-    material_sizes,
     passes,
     passes_slowly,
 )
@@ -23,6 +22,7 @@ from servo_bench.diagnosis.searching.joint import is_needed, without_effect
 from servo_bench.diagnosis.searching.rounds import gone_on, merged, play_round
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, roam, seek, settle
+from servo_bench.diagnosis.searching.sizes import material_sizes
 from servo_bench.diagnosis.searching.unknowns import Unknown, nuisances, widened
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, nominal_with, recorded, with_channels

@@ -25,10 +25,10 @@ from servo_bench.diagnosis.candidates import Plan
 from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.comparing.rows import Array
 from servo_bench.diagnosis.searching.classes import class_of
-from servo_bench.diagnosis.searching.gate import material_sizes
 from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Trial, hypotheses
 from servo_bench.diagnosis.searching.scales import Scales, band_of, scales_of
 from servo_bench.diagnosis.searching.screening import quarter_rad
+from servo_bench.diagnosis.searching.sizes import material_sizes
 from servo_bench.diagnosis.searching.unknowns import Unknown
 from servo_bench.excitation.experiment import Experiment, Phase
 from servo_bench.recording.recording import Recording

@@ -12,9 +12,9 @@ from servo_bench.diagnosis.comparing.rows import Array
 from servo_bench.diagnosis.fitting.free import unit_of
 from servo_bench.diagnosis.judging.verdict import Cause, Limit, Quantity
 from servo_bench.diagnosis.searching.finding import Finding
-from servo_bench.diagnosis.searching.gate import material_sizes
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found
+from servo_bench.diagnosis.searching.sizes import material_sizes
 from sim_rig.effects import find_effect
 
 SPREAD, OWN_SHARE, KIND_SHARE = 2.0, 0.02, 0.35

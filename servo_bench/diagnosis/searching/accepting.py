@@ -21,7 +21,6 @@ from servo_bench.diagnosis.searching.gate import (
     MOST_CAUSES,
     RIGHT,
     RIGHT_ALREADY,
-    material_sizes,
     misfit,
     passes,
     passes_slowly,
@@ -43,6 +42,7 @@ from servo_bench.diagnosis.searching.rarely import acts_again
 from servo_bench.diagnosis.searching.rounds import LEAST_GAIN, Told, play_round
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found
+from servo_bench.diagnosis.searching.sizes import material_sizes
 
 MOST_ROUNDS = 6
 TURNS = 3

@@ -9,11 +9,12 @@ from collections.abc import Sequence
 
 from servo_bench.diagnosis.comparing.evidence import Evidence
 from servo_bench.diagnosis.searching.contenders import faced
-from servo_bench.diagnosis.searching.gate import A_FIFTH, beyond_belief, material_sizes, passes
+from servo_bench.diagnosis.searching.gate import A_FIFTH, beyond_belief, passes
 from servo_bench.diagnosis.searching.hypotheses import Hypothesis
 from servo_bench.diagnosis.searching.joint import Named, is_worth_it, own_unknowns
 from servo_bench.diagnosis.searching.scales import Scales, as_believed
 from servo_bench.diagnosis.searching.seeking import Found, seek
+from servo_bench.diagnosis.searching.sizes import material_sizes
 from servo_bench.diagnosis.searching.unknowns import widened
 
 GAP, FREE = "backlash_width", ("change_rad",)

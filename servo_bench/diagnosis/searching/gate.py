@@ -15,7 +15,8 @@ from servo_bench.diagnosis.comparing.rows import Array
 from servo_bench.diagnosis.searching.contenders import Contender
 from servo_bench.diagnosis.searching.hypotheses import SPRINGS, VEHICLE
 from servo_bench.diagnosis.searching.scales import Scales
-from servo_bench.diagnosis.searching.unknowns import HALF_PERIOD_S, MASS, USUAL_RAD_S
+from servo_bench.diagnosis.searching.sizes import material_sizes
+from servo_bench.diagnosis.searching.unknowns import HALF_PERIOD_S, MASS
 from sim_rig.effects import find_effect
 from sim_rig.model import Model
 
@@ -61,47 +62,6 @@ one (`gap`)."""
 
 WARMING, FORETOLD_Z = frozenset({"thermal_torque_constant"}), 10.0
 """What is held out comes last, and has most of it. Of friction another speed would do the same."""
-
-
-def material_sizes(s: Scales) -> dict[str, float]:
-    """The smallest strength of each effect that is worth a name on this rig, in SI."""
-    tau, gap = s.rig_torque_nm, s.gap_rad
-    return {
-        "coulomb": 0.045 * tau,
-        "viscous": 0.0055 * tau / USUAL_RAD_S,
-        "stribeck": 0.03 * tau,
-        "pre_sliding": 0.08 * tau,
-        "asymmetric_friction": 0.01 * tau,
-        "position_friction": 0.02 * tau,
-        "thermal_friction": 0.02 * tau,
-        "load_dependent_friction": 0.012,
-        "cogging": 0.0075 * tau,
-        "torque_ripple": 0.002,
-        "torque_constant_error": 0.0125,
-        "inertia_error": 0.0125,
-        GAIN: max(0.0125, 1.1 * HALF_PERIOD_S * s.integral_per_s),
-        "integral_gain_error": 0.0125,
-        "torque_constant_droop": 0.01 / s.currents_a[0] ** 2,
-        "thermal_torque_constant": 0.025,
-        "anti_windup": 3.0,
-        "gravity_imbalance": 0.01 * tau,
-        "load_torque": 0.01 * tau,
-        "load_friction": 0.05 * tau,
-        "inverter_dead_time": 0.01 * s.current_a * tau / s.torque_nm,
-        "current_loop_lag": 1.1e-4,
-        "velocity_filter_lag": 2.6e-4,
-        "transport_delay": 1.4e-4,
-        "command_scale": 1e-3,
-        "command_offset": 0.003 * s.command_rad_s,
-        "command_deadband": 0.008 * s.command_rad_s,
-        "command_slew": 5e-4 / s.jump_rad_s,
-        "clock_skew": 2e-6,
-        "backlash_width": 1.05 * min(1e-3, 0.05 * gap),
-        "position_backlash": 0.02 * gap,
-        "encoder_eccentricity": 1.5e-4,
-        "misalignment": 6e-3,
-        "encoder_subdivision": 1e-5,
-    }
 
 
 GIVE, NOTED = 0.1, 0.5

@@ -1,9 +1,8 @@
 """What is tried: for every effect of the catalogue a few finite sizes, and what is free in its fit.
 
-Sizes follow the rig and the excitation, so that a rig ten times as large is asked the same
-question: tau, omega, i are rms torque, speed and current of the nominal rig under this command; V
-the largest command and dV the rms of its jumps; W the gap; J the inertia. An effect without a line
-here is tried at three sizes of its own prior range, so that a new file needs nothing else.
+Sizes follow the rig and the excitation (`sizes`), so that a rig ten times as large is asked the
+same question. An effect without a line there is tried at three sizes of its own prior range, so
+that a new file needs nothing else.
 
 Friction, weight and torque on the load need a load: they are tried on the rigid one and on one with
 a mass of its own (contact), which is then the vehicle, and a cause only where it is needed.
@@ -18,6 +17,7 @@ import numpy as np
 
 from servo_bench.diagnosis.reading.orders import Wave
 from servo_bench.diagnosis.searching.scales import Scales
+from servo_bench.diagnosis.searching.sizes import trial_sizes
 from servo_bench.diagnosis.searching.unknowns import (
     MASS,
     Unknown,
@@ -31,8 +31,6 @@ from sim_rig.errors import EffectError
 from sim_rig.model import Model
 
 Table = Mapping[str, float]
-QUANTILES = (0.5, 0.66, 0.83)
-"""Of a prior's range by its logarithm: sizes of an effect that says nothing else."""
 SHARP = frozenset(
     {
         *("coulomb", "asymmetric_friction", "load_dependent_friction", "load_friction"),
@@ -273,7 +271,7 @@ def _trials(
     scales: Scales,
     orders: "_Orders",
 ) -> Iterator[Trial]:
-    sizes = _sizes(effect, scales)
+    sizes = trial_sizes(effect, scales)
     strength = effect.strengths[0]
     swapped = _mean_warmth(scales) if effect.name == "thermal_friction" else 0.0
     for choice, beside in _choices(effect.name, scales, orders):
@@ -320,60 +318,6 @@ def _ringing_s(settings: Table, s: Scales) -> float:
 def _mean_warmth(s: Scales) -> float:
     """How much of the cold's friction is there on the average of the record."""
     return float(np.exp(-0.5 * s.seconds / thermal_friction.Params().warming_s))
-
-
-def _sizes(effect: Effect, s: Scales) -> tuple[float, ...]:
-    tau, gap = s.torque_nm, s.gap_rad
-    table: dict[str, tuple[float, ...]] = {
-        "coulomb": (0.1 * tau, 0.3 * tau, 0.8 * tau),
-        "viscous": tuple(k * tau / s.speed_rad_s for k in (0.01, 0.05, 0.2)),
-        "stribeck": (0.05 * tau, 0.2 * tau),
-        "pre_sliding": (0.1 * tau, 0.4 * tau),
-        "asymmetric_friction": (-0.05 * tau, 0.05 * tau),
-        "position_friction": (0.05 * tau, 0.2 * tau),
-        "thermal_friction": (0.1 * tau, 0.3 * tau),
-        "load_dependent_friction": (0.03, 0.1),
-        "cogging": (0.05 * tau, 0.3 * tau),
-        "torque_ripple": (0.03,),
-        "torque_constant_error": (-0.08, -0.03, 0.03, 0.08),
-        "inertia_error": (-0.2, -0.06, 0.06, 0.2),
-        "torque_constant_droop": tuple(k / s.currents_a[0] ** 2 for k in (0.05, 0.2)),
-        "thermal_torque_constant": (0.05,),
-        "current_limit": tuple(1.0 / current for current in (*s.peaks_a, *s.currents_a)),
-        "proportional_gain_error": (-0.1, -0.03, 0.03, 0.1),
-        "integral_gain_error": (-0.15, -0.04, 0.04, 0.15),
-        "integrator_clamp": (
-            *(k / s.integral_a[2] for k in (0.35, 0.5, 0.8, 1.3, 2.4, 4.0)),
-            *(k / s.integral_peak_a for k in (1.05, 1.12, 1.25) if s.integral_peak_a > 0.0),
-        ),
-        "anti_windup": (30.0, 300.0),
-        "current_loop_lag": (2e-4, 8e-4),
-        "velocity_filter_lag": (4e-4, 1.5e-3),
-        "inverter_dead_time": (0.03 * s.current_a, 0.15 * s.current_a),
-        "transport_delay": (3e-4, 1.5e-3, 5e-3),
-        "command_slew": tuple(duration / s.jump_rad_s for duration in (1e-3, 3e-3, 8e-3)),
-        "command_deadband": tuple(k * s.command_rad_s for k in (0.03, 0.1, 0.25)),
-        "command_scale": (-0.005, 0.005),
-        "command_offset": tuple(k * s.command_rad_s for k in (-0.1, -0.02, 0.02, 0.1)),
-        "clock_skew": (-5e-5, -1e-5, 1e-5, 5e-5),
-        "backlash_width": (-0.2 * gap, -0.06 * gap, 0.06 * gap, 0.2 * gap),
-        "position_backlash": (0.1 * gap, 0.3 * gap),
-        "contact": tuple(c * s.yielding for c in (2e-3, 2e-2, 0.1)),
-        "coupling_compliance": tuple((s.yielding * np.geomspace(1e-3, 6e-2, 24)).tolist()),
-        "load_friction": (0.05 * tau, 0.3 * tau),
-        "load_torque": (-0.3 * tau, -0.05 * tau, 0.05 * tau, 0.3 * tau),
-        "gravity_imbalance": (0.1 * tau, 0.4 * tau),
-        "encoder_eccentricity": (1e-3,),
-        "misalignment": (0.03,),
-        "encoder_subdivision": (1e-4,),
-    }
-    if effect.name in table:
-        return table[effect.name]
-    prior = effect.parameters[0].prior
-    if prior.least == 0.0 < prior.low:
-        ratio = prior.high / prior.low
-        return tuple(prior.low * ratio**q for q in QUANTILES)
-    return 0.3 * prior.low, 0.3 * prior.high
 
 
 def _choices(

@@ -24,7 +24,6 @@ from servo_bench.diagnosis.searching.gap import play_gap
 from servo_bench.diagnosis.searching.gate import (
     LINES,
     RIGHT_ALREADY,
-    material_sizes,
     misfit,
     passes_beside_coasting,
     passes_slowly,
@@ -37,6 +36,7 @@ from servo_bench.diagnosis.searching.letting_go import AT_ITS_END
 from servo_bench.diagnosis.searching.rounds import Told, play_round
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek
+from servo_bench.diagnosis.searching.sizes import material_sizes
 from servo_bench.diagnosis.searching.unknowns import Unknown
 
 LEAST = 3e-4

@@ -13,11 +13,11 @@ from servo_bench.diagnosis.reading.reading import Reading
 from servo_bench.diagnosis.reading.revolution import ECCENTRIC, EFFECTS, not_at_rest, turn_waves
 from servo_bench.diagnosis.reading.subdivision import EFFECT, subdivision
 from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting
-from servo_bench.diagnosis.searching.gate import material_sizes
 from servo_bench.diagnosis.searching.joint import Named, without_effect
 from servo_bench.diagnosis.searching.late import Late
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek
+from servo_bench.diagnosis.searching.sizes import material_sizes
 from servo_bench.diagnosis.searching.unknowns import Unknown
 from sim_rig.effects import find_effect
 from sim_rig.model import Model

@@ -22,13 +22,13 @@ from scipy.optimize import lsq_linear
 
 from servo_bench.diagnosis.comparing.evidence import KNEE, Errors, Evidence
 from servo_bench.diagnosis.comparing.rows import Array
-from servo_bench.diagnosis.searching.hypotheses import SPRINGS, Hypothesis, Trial
+from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Trial
 from servo_bench.diagnosis.searching.seeking import Found
+from servo_bench.diagnosis.searching.sizes import REACH, STEEP
 from servo_bench.diagnosis.searching.unknowns import Unknown
 from sim_rig.errors import SimRigError
 from sim_rig.model import Model
 
-LEAST, MOST = 0.3, 1.5
 SMALLEST = 0.1
 """Of a trial's size, where it is beyond nothing that a template points to."""
 QUARTER, RIDGE = np.pi / 2.0, 1e-6
@@ -36,8 +36,6 @@ AT_BOUND = 0.02
 """Nearer to a bound than this share of the band is at it."""
 SECOND_ORDER = frozenset({"misalignment"})
 """Its error goes with the square of its strength, and turns twice as its phase turns once."""
-STEEP = frozenset({*SPRINGS, "clock_skew"})
-"""What is sought from trials at their own size (none has a phase)."""
 
 
 class Screened(NamedTuple):
@@ -167,7 +165,7 @@ class _Beside:
     def gain(self, errors: Sequence[Errors]) -> tuple[float, Array]:
         """Share of the cost that the templates take, at most 1, and how much of each.
 
-        One alone saturates within `LEAST` and `MOST`; two make a phase, and are taken whole.
+        One alone saturates within `REACH`; two make a phase, and are taken whole.
         """
         if any(e.ran_away for e in errors):
             return -np.inf, np.ones(len(errors))
@@ -175,7 +173,7 @@ class _Beside:
         cross, own = self.weighted.T @ t, t.T @ (t * self.weight[:, None])
         gram = np.block([[self.gram, cross], [cross.T, own]])
         pull = np.append(self.pull, -(t.T @ (self.white * self.weight)))
-        least, most = (LEAST, MOST) if len(errors) == 1 else (-np.inf, np.inf)
+        least, most = REACH if len(errors) == 1 else (-np.inf, np.inf)
         low = np.append(self.low, np.full(len(errors), least))
         high = np.append(self.high, np.full(len(errors), most))
         gained, step = self._gained(gram, pull, low, high)

@@ -1,5 +1,6 @@
 """What is tried reaches from what is worth a name to the most that a rig has of its own."""
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -57,8 +58,7 @@ def test_torques_of_the_rigs_own_are_told_without_a_gap_to_the_largest(amplitude
         for sign in signs(tried):
             reaches = list(told(tried, sign))
             assert all(
-                low <= high * (1.0 + 1e-9)
-                for (_, high), (low, _) in zip(reaches, reaches[1:], strict=False)
+                low <= high * (1.0 + 1e-9) for (_, high), (low, _) in itertools.pairwise(reaches)
             ), tried.effect
             assert reaches[-1][1] >= OWN_MOST * here.rig_torque_nm, tried.effect
 

@@ -40,6 +40,17 @@ def test_a_drive_that_shows_two_thirds_of_a_jump_at_first_is_crossed_too(after_s
     assert crossed(between) == pytest.approx(after_s, abs=4 * PERIOD_S)
 
 
+@pytest.mark.parametrize("stairs_s", [(2.0, 9.0), (3.0, 5.0), (6.0, 10.5)])
+def test_what_a_clock_that_walks_by_little_crosses_in_stairs(stairs_s: tuple[float, float]) -> None:
+    """A half of every jump shows from the one on, and all of it from the other on: long after a
+    third of the record the share is neither none nor all."""
+    one, other = (skewed(8, -DELAY_S / after_s) for after_s in stairs_s)
+    torque = [np.asarray(r["motor_torque_nm"]) for r in (one, other)]
+    found = crossed(with_channels(one, motor_torque_nm=0.5 * torque[0] + 0.5 * torque[1]))
+    assert found is not None
+    assert min(abs(found - stair_s) for stair_s in stairs_s) < 4 * PERIOD_S
+
+
 @pytest.mark.parametrize("skew_fraction", [2e-5, 0.0, -2e-6])
 def test_a_clock_that_crosses_nothing(skew_fraction: float) -> None:
     assert crossed(skewed(2, skew_fraction)) is None

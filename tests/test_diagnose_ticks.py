@@ -56,6 +56,22 @@ def test_a_delay_is_never_less_than_none_and_the_other_way_still_counts(seen: Ev
     assert ticks(seen, late)[quick] == pytest.approx(ticks(seen, WALKING_FAR)[quick], rel=0.3)
 
 
+def test_between_two_ticks_a_current_shows_a_part_of_every_jump() -> None:
+    """So that where samples come to see the next command, the current may miss any part of one, and
+    a clock that walks the other way no more than three times what is right anyway."""
+    jumps = np.random.default_rng(SEED).choice([-4.0, -2.0, 2.0, 4.0], SLOTS)
+    played = np.concatenate((np.zeros(STANDSTILL), jumps))
+    seen = evidence_of([recorded(MODEL, SEED, played=played)], MODEL, block="loop")
+    slow = MODEL.with_effect("current_loop_lag", lag_s=1e-4)
+    late = slow.with_effect("transport_delay", delay_s=1e-5)
+    current = list(seen.names).index("torque")
+    crosses, other = (
+        ticks(seen, late.with_effect("clock_skew", skew_fraction=s))[current] for s in (-2e-5, 2e-5)
+    )
+    assert other <= 3.0 * seen.allowed[current]
+    assert crosses > 5.0 * seen.allowed[current]
+
+
 @pytest.mark.parametrize(("seed", "seconds"), [(871005, 44.0), (871011, 16.0)])
 @pytest.mark.long
 def test_a_clock_that_walks_past_a_few_ticks_is_named(seed: int, seconds: float) -> None:

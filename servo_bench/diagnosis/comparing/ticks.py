@@ -20,17 +20,19 @@ from sim_rig.model import Model
 COARSE_S = 2.0 * TICK_S
 """Of a drive whose loop is slow."""
 MOST = 3.0
-"""Of what a right simulation may miss anyway."""
+"""Of what a right simulation may miss anyway; of a current that the clock takes past its samples
+any amount: between two ticks they show a part of every jump, where the line shows none or all."""
 
 
 def ticks(whole: Evidence, model: Model) -> Array:
     """Robust change of every signal by a delay that is anywhere within a coarse tick, or within
-    what the clock walks in the longest recording where that is less; at most `MOST`. Shape
-    (signals,); zeros where no clock walks.
+    what the clock walks in the longest recording where that is less; at most `MOST` where the
+    samples see no command early. Shape (signals,); zeros where no clock walks.
     """
     skew = model.effects.get("clock_skew")
     seconds = max(float(c.source.rows.durations_s.sum()) for c in whole.fitted)
-    walked_s = abs(float(skew.skew_fraction)) * seconds if skew is not None else 0.0
+    walks_s = float(skew.skew_fraction) * seconds if skew is not None else 0.0
+    walked_s = abs(walks_s)
     if walked_s == 0.0:
         return np.zeros(len(whole.names))
     either_way_s = min(COARSE_S, walked_s) / np.sqrt(12.0)
@@ -38,4 +40,6 @@ def ticks(whole: Evidence, model: Model) -> Array:
     own_s = float(delay.delay_s) if delay is not None else 0.0
     delays_s = (max(own_s - either_way_s, 0.0), own_s + either_way_s)
     others = [model.with_effect("transport_delay", delay_s=late_s) for late_s in delays_s]
-    return np.asarray(np.minimum(changed_by(whole, model, others), MOST * whole.allowed))
+    changed = changed_by(whole, model, others)
+    crosses = own_s + walks_s < 0.0
+    return np.asarray(changed if crosses else np.minimum(changed, MOST * whole.allowed))

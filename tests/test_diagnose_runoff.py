@@ -19,6 +19,7 @@ from servo_bench.diagnosis.searching.late import unsure
 from servo_bench.diagnosis.searching.rounds import merged
 from servo_bench.diagnosis.searching.runoff import run_off
 from servo_bench.diagnosis.searching.scales import scales_of
+from servo_bench.diagnosis.searching.screening import Screened
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unknowns import Unknown, nuisances, widened
 from servo_bench.report.diagnosis_figures import draw_evidence
@@ -86,6 +87,26 @@ def test_of_a_class_that_rest_tells_apart_the_one_that_fits_it_is_told_first(
     assert kept.effect == hidden
     found_nm = final.value(f"{hidden}.{ONE_SIDED[hidden]}")
     assert found_nm == pytest.approx(ONE_SIDED_NM, rel=0.1)
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_bristles_that_slide_beside_everything_are_plain_friction(asked: bool) -> None:
+    """Where that was asked: what nobody may name takes no place."""
+    hidden = MODEL.with_effect("coulomb", torque_nm=FRICTION_NM, transition_rad_s=0.01)
+    whole = evidence_of([recorded(hidden, 62, slots=1200)], MODEL, block="loop")
+    commands = np.asarray(whole.fitted[0].source.rows.channel("velocity_command_rad_s"))
+    tried = {h.effect: h for h in hypotheses(scales_of(MODEL, commands, 0.008))}
+    start = MODEL.with_effect("pre_sliding", torque_nm=FRICTION_NM, breakaway_angle_rad=3e-6)
+    own = widened("pre_sliding", tried["pre_sliding"].free, start, FRICTION_NM)
+    bristles = seek(whole, start, merged(BAND, own), iterations=3)
+    base = seek(whole, MODEL, BAND, iterations=3)
+    screened = tuple(Screened(tried[e], tried[e].trials[0], 0.5) for e in ("coulomb",) if asked)
+    played = faced(whole, base, [(bristles, tried["pre_sliding"])], screened)
+    (one,) = played.contenders
+    first = Named(one.effect, played, one, own_unknowns(one, one.effect))
+    final, (kept,) = run_off(whole, bristles, [first], BAND, nothing_told)
+    assert kept.effect == ("coulomb" if asked else "pre_sliding")
+    assert final.value(f"{kept.effect}.torque_nm") == pytest.approx(FRICTION_NM, rel=0.05)
 
 
 def test_of_a_class_that_rest_tells_apart_both_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:

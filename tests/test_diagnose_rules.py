@@ -16,7 +16,7 @@ from servo_bench.diagnosis.searching.contenders import Round, _is_alike
 from servo_bench.diagnosis.searching.gate import passes, passes_beside_coasting
 from servo_bench.diagnosis.searching.hypotheses import hypotheses
 from servo_bench.diagnosis.searching.joint import is_worth_it
-from servo_bench.diagnosis.searching.late import held_back
+from servo_bench.diagnosis.searching.late import held_back, no_plainer
 from servo_bench.diagnosis.searching.reading_off import is_windup
 from servo_bench.diagnosis.searching.scales import Scales, scales_of
 from servo_bench.diagnosis.searching.unknowns import nuisances
@@ -399,3 +399,18 @@ def test_what_every_rig_may_have_is_not_asked_whether_it_is_needed(
     band = nuisances(0.1, 0.02)
     _, named = joint.fit_jointly(evidence, now, [one], band, lambda _: None, small=1)
     assert named == [one]
+
+
+@pytest.mark.parametrize(
+    ("plain", "warming", "kept"),
+    [(60.0, 45.0, ["thermal_friction", "coulomb"]), (50.0, 45.0, ["coulomb"])],
+)
+def test_friction_that_warms_is_plain_friction_that_takes_nearly_as_much(
+    plain: float, warming: float, kept: list[str]
+) -> None:
+    contenders = tuple(
+        SimpleNamespace(effect=effect, total=total)
+        for effect, total in (("thermal_friction", warming), ("coulomb", plain))
+    )
+    played: Any = SimpleNamespace(contenders=contenders, base_costs=np.array([40.0, 60.0]))
+    assert [c.effect for c in no_plainer(played)] == kept

@@ -52,6 +52,10 @@ asked once more of all that was recorded."""
 BEHIND = frozenset({"backlash_width", "encoder_subdivision"})
 """What is small beside a load that coasts, and asked once more where that is known."""
 FAR_BELOW = 0.8
+OVER_PLAIN = 0.2
+"""Of what friction that warms takes, how much more it must be than what plain friction takes that
+was asked beside it: of one that stood in for a wrong inertia's damping it was 0.12, eight standard
+deviations. True ones are beside the friction that they warm from, which has its name by then."""
 MOST_TURNS, PROMISED, SPRINGS_PROMISED = 3, 0.004, 0.02
 """Of asking what a load that coasts has hidden: beside what is too small for a name once more; and
 the screened gain below which nothing is fitted there, and no spring."""
@@ -95,7 +99,7 @@ def asked_again(
         )
         report(played)
         able = partial(passes_beside_coasting, right=right)
-        found = next((c for c in _no_plainer(played) if able(c)), None)
+        found = next((c for c in no_plainer(played) if able(c)), None)
         found = with_a_name(found, played, late.scales, able)
         if found is None:
             return None
@@ -181,19 +185,32 @@ def _play_late_round(
     if not asked:
         return None
     played = _late_round(late, final, asked)
-    for found in _no_plainer(played):
+    for found in no_plainer(played):
         named = Named(found.effect, played, found, own_unknowns(found, found.effect))
         if able(found) and is_worth_it(named, found.found, late.scales):
             return named
     return None
 
 
-def _no_plainer(played: Round) -> list[Contender]:
-    """The contenders, without a refinement of what is better than it: it is that, whether that is
-    worth a name or not."""
+def no_plainer(played: Round) -> list[Contender]:
+    """The contenders, without a refinement of what is better than it, or takes nearly as much where
+    it warms: it is that, whether that is worth a name or not."""
     names = [one.effect for one in played.contenders]
     plainer = {one: names.index(REFINES[one]) for one in names if REFINES.get(one) in names}
-    return [c for k, c in enumerate(played.contenders) if plainer.get(c.effect, k) >= k]
+    return [
+        c
+        for k, c in enumerate(played.contenders)
+        if plainer.get(c.effect, k) >= k and not _is_nearly_plain(played, c)
+    ]
+
+
+def _is_nearly_plain(played: Round, one: Contender) -> bool:
+    """Whether the plain friction alone takes nearly all that one which warms does."""
+    plain = next((c for c in played.contenders if REFINES.get(one.effect) == c.effect), None)
+    if plain is None or one.effect not in SLOW:
+        return False
+    base = float(played.base_costs.sum())
+    return plain.total - one.total < OVER_PLAIN * (base - one.total)
 
 
 def _late_round(

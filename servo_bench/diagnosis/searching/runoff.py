@@ -3,6 +3,9 @@
 A round is played on the beginning, because fits there are cheap. What it leaves between a cause and
 its near rivals is noise of a few seconds; on everything they often lie ten deviations apart.
 
+Friction faces the plain one that it refines however far that lay behind: 14 mN m that a round
+called friction that warms, beside an offset and an asymmetry yet to be found, was plain.
+
 Bristles that came to slide beside what was found after them face what slides: a round found 1.5
 mrad of them while they stood in for a load's friction too, and the joint fit 2 urad.
 """
@@ -74,14 +77,15 @@ def _brought(one: Named, contender: Contender) -> frozenset[str]:
 
 
 def _rivals(one: Named, named: Sequence[Named]) -> list[Contender]:
-    """Near ones that could be told from the cause, or from it where the shaft rests, and are not
-    named themselves."""
+    """Near ones that could be told from the cause, or from it where the shaft rests, and the plain
+    friction that it refines, none of them named themselves."""
     if one.missed_z is not None or one.effect != one.contender.effect:
         return []
     siblings = siblings_of(one.effect)
     out = frozenset().union(*(class_of(n.effect) for n in named)) - siblings
     out |= {n.effect for n in named}
     near = {c.effect for c in one.round.near(one.contender)} | siblings
+    near.add(REFINES.get(one.effect, ""))
     return [c for c in one.round.contenders if c.effect in near - out]
 
 

@@ -9,7 +9,7 @@ from servo_bench.diagnosis.reading.crossing import crossing_s
 from servo_bench.diagnosis.searching.finding import find_causes
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
-from tests.fit_recordings import NOMINAL, recorded, with_channels
+from tests.fit_recordings import NOMINAL, commands, recorded, with_channels
 
 MODEL = Model(NOMINAL)
 SLOTS, PERIOD_S = 1500, 0.008
@@ -49,6 +49,27 @@ def test_what_a_clock_that_walks_by_little_crosses_in_stairs(stairs_s: tuple[flo
     found = crossed(with_channels(one, motor_torque_nm=0.5 * torque[0] + 0.5 * torque[1]))
     assert found is not None
     assert min(abs(found - stair_s) for stair_s in stairs_s) < 4 * PERIOD_S
+
+
+@pytest.mark.parametrize("share", [0.15, 0.25])
+@pytest.mark.parametrize("torque_nm", [8e-3, 2e-2])
+def test_friction_that_nobody_modelled_is_no_clock_where_the_amplitude_changes(
+    share: float, torque_nm: float
+) -> None:
+    """A jump comes after others: of a small first half friction shows as less than none of it."""
+    played = commands(9, SLOTS)
+    played[: played.size // 2] *= share
+    assert crossed(
+        recorded(MODEL.with_effect("coulomb", torque_nm=torque_nm), 9, played=played)
+    ) is (None)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_where_commands_fade_out_the_rest_has_no_say(seed: int) -> None:
+    """Its jumps are many and have no energy: a share of them is noise, or none over none."""
+    fading = 2.0 * 0.97 ** np.arange(1200)
+    played = np.concatenate((commands(seed, 60), fading))
+    assert crossed(recorded(MODEL, seed, played=played)) is None
 
 
 @pytest.mark.parametrize("skew_fraction", [2e-5, 0.0, -2e-6])

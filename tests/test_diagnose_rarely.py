@@ -80,6 +80,7 @@ def test_where_nothing_came_after_the_beginning_nothing_acts_again() -> None:
         effect="integrator_clamp",
         seen_gain=0.2,
         seen_z=5.0,
+        held_gain=0.0,
         held_z=0.0,
         held=held,
         found=SimpleNamespace(model=rig),

@@ -1,6 +1,6 @@
 """Which experiment tells the causes apart on this rig: predicted separation per minute.
 
-Every cause is played on the nominal rig at the smallest size that is worth a name (see `gate`), and
+Every cause is played on the nominal rig at the smallest size that is worth a name (`sizes`), and
 its template t = z(with it) - z(without), whitened by what a right simulation may miss, is what the
 experiment would show of it. What the numbers that every rig leaves open could imitate within their
 bands is taken out (P), and what the rival could at its own best size:

@@ -20,8 +20,9 @@ from sim_rig.model import Model
 COARSE_S = 2.0 * TICK_S
 """Of a drive whose loop is slow."""
 MOST = 3.0
-"""Of what a right simulation may miss anyway; of a current that the clock takes past its samples
-any amount: between two ticks they show a part of every jump, where the line shows none or all."""
+"""Of what a right simulation may miss anyway; where the clock takes the current past its samples
+any amount: between two ticks they show a part of every jump, where the line shows none or all (of
+all signals alike: the angles hardly change by that)."""
 
 
 def ticks(whole: Evidence, model: Model) -> Array:

@@ -17,7 +17,6 @@ import numpy as np
 from servo_bench.diagnosis.comparing.rows import Array, Mask
 from servo_bench.diagnosis.fitting.free import unit_of
 from servo_bench.diagnosis.judging.causes import causes_of
-from servo_bench.diagnosis.judging.confirming import unconfirmed
 from servo_bench.diagnosis.judging.gain import error_figures
 from servo_bench.diagnosis.judging.intervals import limits_of, names_of
 from servo_bench.diagnosis.judging.sensors import misread
@@ -56,21 +55,18 @@ def verdict_of(finding: Finding) -> Verdict:
     """The verdict, without words on the signature."""
     strange = tuple(_strange(finding))
     told = tuple(causes_of(finding))
-    against = unconfirmed(finding)
-    causes = tuple(c for c in told if _has_a_name(c) and c.effect not in against)
+    causes = tuple(c for c in told if _has_a_name(c))
     explained = (_explained(finding) if causes or not told else _is_right(finding)) and not strange
     kind: Kind = "named" if causes and explained else "none" if explained else "unknown"
     named = causes if kind == "named" else ()
     notes = [*finding.notes, *_absorbed(finding), *_coasting(finding.final.model)]
-    unsure = ", ".join(c.effect for c in told if c not in causes and c.effect not in against)
     if kind == "unknown" and told:
         notes.append(
             f"It resembles {', '.join(c.effect for c in told)}, which does not explain it."
         )
-    elif unsure:
-        notes.append(f"{unsure} would take a part of what is left, not surely enough for a name.")
-    if denied := ", ".join(c.effect for c in told if c.effect in against):
-        notes.append(f"{denied} fits these recordings alone: the held-out one is no better by it.")
+    elif len(causes) < len(told):
+        names = ", ".join(c.effect for c in told if c not in causes)
+        notes.append(f"{names} would take a part of what is left, not surely enough for a name.")
     if kind == "unknown":
         notes += misread(finding.whole.fitted[0], finding.nominal, finding.final.model)
     model = finding.final.model if causes else finding.base.model

@@ -11,9 +11,8 @@
     judgement   named, none, or unknown; confidence, rivals, limits, gain on data no fit saw
 
 Causes are chosen on the recordings alone: fitted on the identification, judged on the validation.
-A held-out recording takes no part in it, but that it may take a name away at last (`confirming`).
-Only where commands were lost are its own put right, by what the load did, because nobody can play a
-command that was not heard.
+A held-out recording takes no part in it. Only where commands were lost are its own put right, by
+what the load did, because nobody can play a command that was not heard.
 Every stage is a function of values and can be called alone. Nothing here reads files or clocks but
 `time.perf_counter` for the time it took.
 """

@@ -21,7 +21,9 @@ def acts_again(quick: Evidence, played: Round) -> Contender | None:
     """The best contender that took much of what was fitted and does not act in what is held out,
     held against what came after the beginning instead: beyond chance there, and much of that."""
     for one in played.contenders:
-        if one.seen_gain < MUCH or one.seen_z < HELD_Z or one.held_z < -HELD_Z:
+        if one.seen_gain < MUCH or one.seen_z < HELD_Z:
+            continue
+        if one.held_gain < -MUCH or one.held_z < -HELD_Z:
             continue
         if not _is_silent(quick, played, one):
             continue

@@ -11,6 +11,7 @@ mrad of them while they stood in for a load's friction too, and the joint fit 2 
 """
 
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -42,12 +43,14 @@ def run_off(
         rivals, slides = _rivals(one, kept), _sliding(one, kept, now)
         if not rivals and slides is None:
             continue
-        against = ", ".join(rival.effect for rival in (*rivals, *((slides,) if slides else ())))
+        facing = (*rivals, *((slides,) if slides else ()))
+        against = ", ".join(dict.fromkeys(rival.effect for rival in facing))
         report(f"{one.effect} against {against}")
         gone = brought[one.effect] - others
         ends = [(_again(whole, now, gone), one.contender.hypothesis)]
         if slides is not None:
-            ends.append((_slid(whole, now, one.effect, slides), slides))
+            with suppress(FitError, SimRigError, np.linalg.LinAlgError):
+                ends.append((_slid(whole, now, one.effect, slides), slides))
         for rival in rivals:
             try:
                 new = _brought(one, rival) - others

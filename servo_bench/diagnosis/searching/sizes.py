@@ -135,7 +135,8 @@ def _usual(effect: Effect, s: Scales) -> tuple[float, ...]:
 def _reaching(effect: Effect, usual: Sequence[float], s: Scales) -> Iterator[float]:
     """The usual sizes, and smaller and larger ones where an effect may be so and they do not tell.
 
-    What has a phase is taken whole by its templates, at any size.
+    What has a phase is taken whole by its templates, at any size; but a weight on a load with a
+    mass of its own, which saturates as others do, and has to be as large as its usual sizes there.
     """
     yield from usual
     if effect.name in STEEP or "phase_rad" in effect.params._fields:

@@ -59,9 +59,8 @@ def test_friction_that_nobody_modelled_is_no_clock_where_the_amplitude_changes(
     """A jump comes after others: of a small first half friction shows as less than none of it."""
     played = commands(9, SLOTS)
     played[: played.size // 2] *= share
-    assert crossed(
-        recorded(MODEL.with_effect("coulomb", torque_nm=torque_nm), 9, played=played)
-    ) is (None)
+    rubs = MODEL.with_effect("coulomb", torque_nm=torque_nm)
+    assert crossed(recorded(rubs, 9, played=played)) is None
 
 
 @pytest.mark.parametrize("seed", range(6))

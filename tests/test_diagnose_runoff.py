@@ -268,3 +268,14 @@ def test_the_evidence_shows_every_block_of_a_part_and_none_of_the_other() -> Non
     draw_evidence(figure, played, one)
     (line,) = (line for line in figure.axes[2].lines if line.get_label() == "over the base")
     np.testing.assert_allclose(line.get_ydata(), [-4.0, 3.0])
+
+
+def test_what_fits_too_well_for_a_bar_is_told_in_figures() -> None:
+    played = no_better_than_the_base("coulomb")
+    one = replace(showing(played, "coulomb"), costs=np.array([0.5, 0.0]))
+    figure = Figure()
+    draw_evidence(
+        figure, replace(played, base_costs=np.array([60.0, 40.0]), contenders=(one,)), one
+    )
+    assert [text.get_text() for text in figure.axes[1].texts] == ["0.5"]
+    assert figure.axes[1].get_xlim()[1] > 115.0  # room for that of a cost that all is left of

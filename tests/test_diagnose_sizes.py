@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from servo_bench.diagnosis.comparing.evidence import evidence_of
-from servo_bench.diagnosis.searching.hypotheses import Hypothesis, hypotheses
+from servo_bench.diagnosis.searching.hypotheses import VEHICLE, Hypothesis, hypotheses
 from servo_bench.diagnosis.searching.scales import Scales, band_of, scales_of
 from servo_bench.diagnosis.searching.screening import screen
 from servo_bench.diagnosis.searching.seeking import seek
@@ -29,7 +29,8 @@ def scales(amplitude: float) -> Scales:
 def told(tried: Hypothesis, sign: float) -> Iterator[tuple[float, float]]:
     """The sizes that each of its trials of that sign tells of, from the smallest."""
     strength = find_effect(tried.effect).strengths[0]
-    values = sorted({sign * float(t.settings[strength]) for t in tried.trials})
+    rigid = (t for t in tried.trials if VEHICLE not in t.beside)  # whose load has sizes of its own
+    values = sorted({sign * float(t.settings[strength]) for t in rigid})
     yield from ((REACH[0] * v, REACH[1] * v) for v in values if v > 0.0)
 
 

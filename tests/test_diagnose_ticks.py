@@ -57,8 +57,8 @@ def test_a_delay_is_never_less_than_none_and_the_other_way_still_counts(seen: Ev
 
 
 def test_between_two_ticks_a_current_shows_a_part_of_every_jump() -> None:
-    """So that where samples come to see the next command, the current may miss any part of one, and
-    a clock that walks the other way no more than three times what is right anyway."""
+    """So that where samples come to see the next command, the current may miss any part of one; a
+    clock that walks the other way shows none of it."""
     jumps = np.random.default_rng(SEED).choice([-4.0, -2.0, 2.0, 4.0], SLOTS)
     played = np.concatenate((np.zeros(STANDSTILL), jumps))
     seen = evidence_of([recorded(MODEL, SEED, played=played)], MODEL, block="loop")
@@ -68,8 +68,7 @@ def test_between_two_ticks_a_current_shows_a_part_of_every_jump() -> None:
     crosses, other = (
         ticks(seen, late.with_effect("clock_skew", skew_fraction=s))[current] for s in (-2e-5, 2e-5)
     )
-    assert other <= 3.0 * seen.allowed[current]
-    assert crosses > 5.0 * seen.allowed[current]
+    assert crosses > 5.0 * seen.allowed[current] > 20.0 * other
 
 
 @pytest.mark.parametrize(("seed", "seconds"), [(871005, 44.0), (871011, 16.0)])

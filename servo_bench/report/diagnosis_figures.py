@@ -108,7 +108,9 @@ def draw_evidence(figure: Figure, played: Round, chosen: Contender | None) -> No
     base = float(played.base_costs.sum())
     fitted = played.contenders
     _bars(left, [c.effect for c in fitted], [100.0 * c.total / base for c in fitted], first)
-    left.set_xlim(0.0, 105.0)
+    for bars in left.containers:  # what fits well leaves too little to be seen
+        left.bar_label(bars, fmt="%.3g", padding=2, fontsize=6.5, color=MUTED)
+    left.set_xlim(0.0, 125.0)
     caption_axes(left, "fitted: cost left", "of the base's cost (%)", "")
     _draw_blocks(blocks, played, chosen)
 

@@ -180,8 +180,18 @@ def _evidence_words(verdict: Verdict, finding: Finding) -> Iterator[str]:
         text = f"{_name(cause.effect)} gains over a simulation without it by {cause.evidence:.1f} "
         text += "standard deviations of the blocks' scatter"
         if cause.rival is not None and cause.over_rival is not None:
-            text += f", and over its best rival, {_name(cause.rival)}, by {cause.over_rival:.1f}"
+            text += _beside_its_rival(_name(cause.rival), cause.over_rival)
         yield text + "."
+
+
+def _beside_its_rival(rival: str, over: float) -> str:
+    """By how much it leads; or why one that fits better is not named."""
+    if over >= 0.0:
+        return f", and over its best rival, {rival}, by {over:.1f}"
+    return (
+        f"; {rival} fits better by {-over:.1f}, but assumes more to change the same, or is not "
+        "beyond chance on what no fit saw"
+    )
 
 
 def _in_the_data(finding: Finding) -> Iterator[str]:

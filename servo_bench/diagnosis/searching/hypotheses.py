@@ -17,7 +17,7 @@ import numpy as np
 
 from servo_bench.diagnosis.reading.orders import Wave
 from servo_bench.diagnosis.searching.scales import Scales
-from servo_bench.diagnosis.searching.sizes import trial_sizes
+from servo_bench.diagnosis.searching.sizes import STEEP, trial_sizes
 from servo_bench.diagnosis.searching.unknowns import (
     MASS,
     Unknown,
@@ -55,7 +55,7 @@ SHAPES: Mapping[str, tuple[Table, ...]] = {
 """What is tried beside sizes. A sign change as wide as a Stribeck curve would be most of it."""
 LITTLE = 0.005
 """Of rms torque: friction of a load that something else drives through its gap."""
-SPRINGS = frozenset({"contact", "coupling_compliance"})
+SPRINGS = STEEP - {"clock_skew"}
 CROSSING_DELAYS_S = (2e-5, 5e-5, 1e-4)
 """Of a usual rig's command, that a clock which falls behind takes away (see `crossing`)."""
 DETECTED = frozenset({"missed_samples", "quantisation"})

@@ -96,19 +96,21 @@ def without_idle(
     else together: of a K_T that droops, and of a supply that sags, an anti-windup with its limit
     took 42 and 23 % of what was held out, and was not missed beside the limit.
     """
-    kept = list(named)
-    for place, one in enumerate(named):
+    kept = list[Named]()
+    for one in named:
+        kept.append(one)
         carrier = CARRIERS.get(one.effect)
         if carrier is None or any(n.effect == carrier for n in named):
             continue
         less = without_effect(whole, final, one.effect, band)
         if is_needed(final, less):
             continue
+        kept.pop()
         if any(c.effect == carrier for c in one.round.contenders):
-            final, kept[place] = less, carried_by(one, carrier)
+            final = less
+            kept.append(carried_by(one, carrier))
         else:
             final = without_effect(whole, less, carrier, band)
-            kept.remove(one)
     return final, kept
 
 

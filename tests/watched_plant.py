@@ -39,7 +39,8 @@ class WatchedPlant:
         if abs(velocity_rad_s) > MOVES_RAD_S:
             self._moved_ns = now_ns
         powered = velocity_command_rad_s is not None
-        _STATE.pack_into(self._memory, 0, now_ns, self._moved_ns, velocity_rad_s, powered)
+        # packed first: in place every byte is zero for a moment, which reads as standing still
+        self._memory[:] = _STATE.pack(now_ns, self._moved_ns, velocity_rad_s, powered)
 
     def outputs(self) -> PlantOutputs:
         """As the model."""

@@ -87,6 +87,7 @@ from servo_bench.diagnosis.searching.rounds import Told
 from servo_bench.diagnosis.searching.runoff import run_off
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek
+from servo_bench.diagnosis.searching.unlike import beside_the_unlike
 from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
@@ -204,6 +205,7 @@ def find_causes(
     final, plain = _coasting_at_last(late, final, plain, nothing=not (named or absorbed))
     out = {e for e in READ_OFF if e in without or (only and e not in only)}
     final, named, readings = with_readings(whole, final, named, late, out)
+    named = beside_the_unlike(whole, final, named, band, report)
     return Finding(
         recordings=recordings,
         held_out=held_out,

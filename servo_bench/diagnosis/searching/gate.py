@@ -128,7 +128,7 @@ def passes_slowly(contender: Contender) -> bool:
     It takes a small share of the cost, because the record shows but a part of it. What warms was
     fitted by its mean on what was seen, and shows on what came after that.
     """
-    if contender.held_gain > HELD_GAIN and _sure(contender):
+    if contender.held_gain > HELD_GAIN and is_sure(contender):
         return True
     foretold = contender.held_z > FORETOLD_Z and contender.held_gain > FURTHER_GAIN
     return contender.effect in WARMING and foretold and contender.seen_gain > HELD_GAIN
@@ -157,7 +157,7 @@ def stands_far_out(contender: Contender) -> bool:
     return seen and contender.held_gain > COASTING_GAIN and contender.held_z > HELD_Z
 
 
-def _sure(contender: Contender) -> bool:
+def is_sure(contender: Contender) -> bool:
     """Beyond chance on both together, where neither speaks against it."""
     least_z = min(contender.seen_z, contender.held_z)
     return bool(least_z > 0.5 * HELD_Z and _together(contender) > np.hypot(SEEN_Z, HELD_Z))
@@ -178,7 +178,7 @@ def passes(contender: Contender, *, named: int = 0, right: bool = False) -> bool
     least = FURTHER_GAIN if right else SECOND_GAIN if named else HELD_GAIN
     much = min(contender.seen_gain, contender.held_gain) > MUCH
     takes_most = contender.seen_gain > MOST_OF_IT or much
-    if takes_most and contender.held_gain > FURTHER_GAIN and _sure(contender):
+    if takes_most and contender.held_gain > FURTHER_GAIN and is_sure(contender):
         return True
     return (
         contender.seen_z > SEEN_Z

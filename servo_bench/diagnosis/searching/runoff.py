@@ -37,7 +37,7 @@ def run_off(
     that was recorded where it had any. A rival that takes a cause's place is fitted jointly anew.
     """
     kept, now = list(named), final
-    brought = {n.effect: _brought(n, n.contender) for n in named}
+    brought = {n.effect: brought_by(n, n.contender) for n in named}
     for place, one in enumerate(named):
         others = frozenset().union(*(brought[n.effect] for n in named if n is not one))
         rivals, slides = _rivals(one, kept), _sliding(one, kept, now)
@@ -47,20 +47,20 @@ def run_off(
         against = ", ".join(dict.fromkeys(rival.effect for rival in facing))
         report(f"{one.effect} against {against}")
         gone = brought[one.effect] - others
-        ends = [(_again(whole, now, gone), one.contender.hypothesis)]
+        ends = [(sought_again(whole, now, gone), one.contender.hypothesis)]
         if slides is not None:
             with suppress(FitError, SimRigError, np.linalg.LinAlgError):
                 ends.append((_slid(whole, now, one.effect, slides), slides))
         for rival in rivals:
             try:
-                new = _brought(one, rival) - others
+                new = brought_by(one, rival) - others
                 ends.append((_instead(whole, now, gone, (rival, new), band), rival.hypothesis))
             except (FitError, SimRigError, np.linalg.LinAlgError):
                 continue
         if len(ends) == 1:
             continue
         try:
-            base = _without(whole, now, {one.effect, *(gone - SPRINGS)}, band)
+            base = sought_without(whole, now, {one.effect, *(gone - SPRINGS)}, band)
         except SimRigError:  # the others need it
             continue
         played = faced(whole, base, ends, one.round.screened)
@@ -71,7 +71,7 @@ def run_off(
     return (final, kept) if now is final else fit_jointly(whole, now, kept, band, report)
 
 
-def _brought(one: Named, contender: Contender) -> frozenset[str]:
+def brought_by(one: Named, contender: Contender) -> frozenset[str]:
     """What came with a contender of a cause's round: what carries it, and what it carries."""
     usual = {u.effect for u in one.round.base.unknowns}
     mine = {u.effect for u in contender.found.unknowns} - usual | {contender.effect}
@@ -112,10 +112,10 @@ def _slid(whole: Evidence, now: Found, bristles: str, slides: Hypothesis) -> Fou
     model = now.model.without(bristles).with_effect(plain, **table)
     own = widened(plain, slides.free, model, size)
     rest = [u for u in now.unknowns if u.effect not in {bristles, plain}]
-    return _again(whole, _put(now, model, [*rest, *own]), {plain})
+    return sought_again(whole, put(now, model, [*rest, *own]), {plain})
 
 
-def _again(whole: Evidence, found: Found, own: Collection[str]) -> Found:
+def sought_again(whole: Evidence, found: Found, own: Collection[str]) -> Found:
     """As much search for everyone."""
     again = seek(whole, found.model, found.unknowns, found.sigma, iterations=4, first=1)
     return settle(whole, again, own, turns=1)
@@ -135,11 +135,13 @@ def _instead(
     for effect in new:
         model = model.with_effect(effect, **rival.found.model.effects[effect]._asdict())
     unknowns = merged(start.unknowns, [u for u in rival.found.unknowns if u.effect in new])
-    return _again(whole, _put(start, model, unknowns), new)
+    return sought_again(whole, put(start, model, unknowns), new)
 
 
-def _without(whole: Evidence, now: Found, gone: Collection[str], band: Sequence[Unknown]) -> Found:
-    return _again(whole, _taken_out(now, gone, gone, band), ())
+def sought_without(
+    whole: Evidence, now: Found, gone: Collection[str], band: Sequence[Unknown]
+) -> Found:
+    return sought_again(whole, _taken_out(now, gone, gone, band), ())
 
 
 def _taken_out(
@@ -150,10 +152,10 @@ def _taken_out(
     for unknown in usual:
         value = np.clip(unknown.of(now.model), unknown.low, unknown.high)
         model = unknown.put(model, float(value))
-    return _put(now, model, [*(u for u in now.unknowns if u.effect not in gone), *usual])
+    return put(now, model, [*(u for u in now.unknowns if u.effect not in gone), *usual])
 
 
-def _put(now: Found, model: Model, unknowns: Sequence[Unknown]) -> Found:
+def put(now: Found, model: Model, unknowns: Sequence[Unknown]) -> Found:
     """Another start; what is carried comes first."""
     return now._replace(
         model=model, unknowns=tuple(sorted(unknowns, key=lambda u: bool(u.carries)))

@@ -1,0 +1,89 @@
+"""A cause and a rival that changes something else: not one or the other, but one, or both.
+
+Two hypotheses that take as much of the cost each are rivals where they change the same. A dead time
+that changes the motor's way at low speed and a coupling that stood in for a load's motion in its
+gap do not: that they were as good says nothing of either. What does is whether the cause is missed
+where the rival is there too, beside everything that was found since.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from servo_bench.diagnosis.comparing.evidence import Evidence, block_z
+from servo_bench.diagnosis.searching.contenders import LIKE, RIVAL_Z, Contender, faced
+from servo_bench.diagnosis.searching.gate import is_sure
+from servo_bench.diagnosis.searching.hypotheses import SPRINGS
+from servo_bench.diagnosis.searching.joint import NEEDED_SHARE, Named, own_unknowns
+from servo_bench.diagnosis.searching.rounds import Told
+from servo_bench.diagnosis.searching.runoff import (
+    brought_by,
+    put,
+    sought_again,
+    sought_without,
+)
+from servo_bench.diagnosis.searching.seeking import Found
+from servo_bench.diagnosis.searching.unknowns import Unknown, merged
+from servo_bench.errors import FitError
+from sim_rig.errors import SimRigError
+
+
+def beside_the_unlike(
+    whole: Evidence,
+    final: Found,
+    named: Sequence[Named],
+    band: Sequence[Unknown],
+    report: Told,
+) -> list[Named]:
+    """The causes; one that an unlike rival comes near by chance with a round beside that rival, on
+    all that was recorded, where it is missed there beyond chance."""
+    kept = []
+    for one in named:
+        rival = _unlike(one, final)
+        if rival is None:
+            kept.append(one)
+            continue
+        report(f"{one.effect} beside {rival.effect}")
+        others = frozenset().union(*(brought_by(n, n.contender) for n in named if n is not one))
+        kept.append(_beside(whole, final, (one, rival), others, band) or one)
+    return kept
+
+
+def _unlike(one: Named, final: Found) -> Contender | None:
+    """The best rival of a cause's round, where they are apart by chance, change different things,
+    and it is not in the joint fit; a coupling, which fits a part of anything, is asked of none."""
+    if one.missed_z is not None or one.effect in SPRINGS:
+        return None
+    able = (c for c in one.round.contenders if c is not one.contender and c.held_gain > 0.0)
+    able = (c for c in able if c.effect not in SPRINGS or c.total > one.contender.total)
+    rival = next((c for c in able if c.effect not in final.model.effects), None)
+    if rival is None or abs(block_z(one.contender.costs, rival.costs)) > RIVAL_Z:
+        return None
+    return rival if abs(one.round.likeness(one.contender, rival)) < LIKE else None
+
+
+def _beside(
+    whole: Evidence,
+    final: Found,
+    pair: tuple[Named, Contender],
+    others: frozenset[str],
+    band: Sequence[Unknown],
+) -> Named | None:
+    """The cause in a round whose base has the rival; None where it is not clearly missed there, or
+    the two cannot be in one rig."""
+    one, rival = pair
+    gone = brought_by(one, one.contender) - others
+    new = brought_by(one, rival) - gone - others
+    try:
+        model, mine = final.model, [u for u in rival.found.unknowns if u.effect in new]
+        for effect in new:
+            model = model.with_effect(effect, **rival.found.model.effects[effect]._asdict())
+        both = sought_again(whole, put(final, model, merged(final.unknowns, mine)), new)
+        less = sought_without(whole, both, {one.effect, *(gone - SPRINGS)}, band)
+    except (FitError, SimRigError, np.linalg.LinAlgError):
+        return None
+    played = faced(whole, less, [(both, one.contender.hypothesis)], one.round.screened)
+    first = played.contenders[0]
+    if not is_sure(first) or min(first.seen_gain, first.held_gain) < NEEDED_SHARE:
+        return None
+    return Named(one.effect, played, first, own_unknowns(first, one.effect))

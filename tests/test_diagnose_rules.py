@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from servo_bench.diagnosis.judging.causes import cause_of
+from servo_bench.diagnosis.judging.causes import cause_of, is_sure
 from servo_bench.diagnosis.judging.judgement import _explained, _has_a_name
 from servo_bench.diagnosis.judging.verdict import Cause
 from servo_bench.diagnosis.searching import joint, rounds
 from servo_bench.diagnosis.searching.accepting import with_a_name
 from servo_bench.diagnosis.searching.contenders import Round, _is_alike
-from servo_bench.diagnosis.searching.gate import passes, passes_beside_coasting
+from servo_bench.diagnosis.searching.gate import passes, passes_beside_coasting, passes_slowly
 from servo_bench.diagnosis.searching.hypotheses import hypotheses
 from servo_bench.diagnosis.searching.joint import is_worth_it
 from servo_bench.diagnosis.searching.late import held_back, no_plainer
@@ -83,6 +83,78 @@ def test_a_coupling_that_takes_little_gives_way_to_what_has_a_name() -> None:
     alone: Any = SimpleNamespace(contenders=(spring_or_drag(0.05)[0],))
     assert with_a_name(alone.contenders[0], alone, SCALES, passes) is alone.contenders[0]
     assert with_a_name(None, played, SCALES, passes) is None
+
+
+@pytest.mark.parametrize(
+    ("effect", "seen_z", "held_z", "able"),
+    [
+        ("thermal_torque_constant", 2.3, 4.0, True),
+        ("thermal_torque_constant", 1.0, 4.5, False),  # nothing of it before
+        ("thermal_torque_constant", 4.5, 2.0, False),  # nothing of it last
+        ("thermal_friction", 2.3, 4.0, False),  # another speed would do the same
+        ("clock_skew", 2.3, 4.0, False),
+    ],
+)
+def test_magnets_that_warm_show_on_what_came_last(
+    effect: str, seen_z: float, held_z: float, able: bool
+) -> None:
+    gains = {"seen_gain": 0.007, "held_gain": 0.026}
+    one: Any = SimpleNamespace(effect=effect, seen_z=seen_z, held_z=held_z, **gains)
+    assert passes_slowly(one) is able
+
+
+@pytest.mark.parametrize(
+    ("effect", "seen_z", "held_z", "sure"),
+    [
+        ("cogging", 6.5, 6.5, True),
+        ("cogging", 8.8, 3.5, True),
+        ("cogging", 8.8, 2.5, False),
+        ("coupling_compliance", 8.8, 3.5, False),  # it fits a part of anything
+        ("cogging", 5.5, 5.5, False),
+        ("thermal_friction", 3.6, 10.9, True),
+        ("thermal_friction", 1.6, 7.0, True),
+        ("cogging", 1.6, 7.0, False),
+    ],
+)
+def test_a_size_of_few_deviations_is_a_cause_where_its_gain_is_far_beyond_chance(
+    effect: str, seen_z: float, held_z: float, sure: bool
+) -> None:
+    gains: dict[str, float] = {"seen_gain": 0.1, "held_gain": 0.05}
+    contender = SimpleNamespace(seen_z=seen_z, held_z=held_z, **gains)
+    one: Any = SimpleNamespace(effect=effect, contender=contender, missed_z=None)
+    assert is_sure(one) is sure
+
+
+@pytest.mark.parametrize(
+    ("effect", "held_gain", "kept"),
+    [
+        ("thermal_friction", 0.03, True),
+        ("thermal_friction", 0.004, False),
+        ("thermal_friction", -0.03, False),
+        ("viscous", 0.03, False),
+    ],
+)
+def test_what_warms_is_kept_where_what_came_last_misses_it(
+    monkeypatch: pytest.MonkeyPatch, effect: str, held_gain: float, kept: bool
+) -> None:
+    """Of what was seen it takes a thousandth, at 6 deviations: no more would be kept."""
+
+    def fit(gain: float) -> Any:
+        rough = np.random.default_rng(4).uniform(0.5, 1.5, 60)
+        costs = 10.0 * (1.0 - gain * rough)
+        return SimpleNamespace(costs=lambda _: costs, cost=lambda _: costs.sum())
+
+    ends = [SimpleNamespace(errors=fit(g), model=None, sigma=None) for g in (0.001, 0.0)]
+    with_it, less = ends
+    held = [fit(held_gain), fit(0.0)]
+    whole: Any = SimpleNamespace(held_out=lambda _: held)
+    monkeypatch.setattr(joint, "seek", lambda *_, **__: with_it)
+    monkeypatch.setattr(joint, "settle", lambda *_, **__: with_it)
+    monkeypatch.setattr(joint, "without_effect", lambda *_: less)
+    named: Any = [SimpleNamespace(effect=e) for e in (effect, "cogging")]
+    now: Any = SimpleNamespace(model=None, unknowns=())
+    _, left = joint.fit_jointly(whole, now, named, (), lambda _: None)
+    assert (named[0] in left) is kept
 
 
 @pytest.mark.parametrize(("z", "able"), [(5.2, False), (7.4, True)])

@@ -12,6 +12,9 @@ from servo_bench.diagnosis.searching.contenders import Contender, Round, faced
 from servo_bench.diagnosis.searching.finding import nothing_told
 from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Trial
 from servo_bench.diagnosis.searching.joint import Named, own_unknowns
+from servo_bench.diagnosis.searching.late import Late
+from servo_bench.diagnosis.searching.rounds import Told
+from servo_bench.diagnosis.searching.scales import scales_of
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unknowns import merged, nuisances, widened
 from servo_bench.diagnosis.searching.unlike import beside_the_unlike
@@ -56,6 +59,12 @@ def _noise(one: Contender) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     return np.random.default_rng(3).normal(0.0, 0.01 * one.costs.mean(), one.costs.size) + 1e-6
 
 
+def late_of(seen: Evidence, report: Told = nothing_told) -> Late:
+    """Asked of everything, with nothing else to ask."""
+    commands = np.asarray(seen.fitted[0].source.rows.channel("velocity_command_rad_s"))
+    return Late(seen, seen, (), scales_of(MODEL, commands, 0.008), BAND, report)
+
+
 @pytest.mark.parametrize(
     ("hidden", "is_there"), [((LAG, LINE), True), ((LINE,), False), ((LAG,), True)]
 )
@@ -65,7 +74,7 @@ def test_what_is_missed_beside_an_unlike_rival_is_no_matter_of_one_or_the_other(
     seen = evidence_of([recorded(rig(*hidden), 71, slots=900)], MODEL, block="loop")
     one = doubted(seen, LAG, LINE)
     final = one.contender.found
-    (kept,) = beside_the_unlike(seen, final, [one], BAND, nothing_told)
+    (kept,) = beside_the_unlike(final, [one], late_of(seen))
     assert kept.effect == LAG
     assert (kept is not one) is is_there
     if is_there:
@@ -79,8 +88,7 @@ def test_no_rival_is_asked_that_is_a_cause_already(named: bool) -> None:
     seen = evidence_of([recorded(rig(LAG, LINE), 71, slots=600)], MODEL, block="loop")
     one = doubted(seen, LAG, LINE)
     final = one.contender.found
-    if named:
-        final = final._replace(model=final.model.with_effect(LINE, **SIZES[LINE]))
     told: list[str] = []
-    beside_the_unlike(seen, final, [one], BAND, told.append)
+    small = [LINE] if named else []
+    beside_the_unlike(final, [one], late_of(seen, told.append), small=small)
     assert bool(told) is not named

@@ -15,14 +15,15 @@ from servo_bench.diagnosis.judging.verdict import Cause, Quantity
 from servo_bench.diagnosis.searching.classes import class_of, splitting
 from servo_bench.diagnosis.searching.contenders import BY_CHANCE, Contender
 from servo_bench.diagnosis.searching.finding import Finding
-from servo_bench.diagnosis.searching.gate import MOST_OF_IT
+from servo_bench.diagnosis.searching.gate import HELD_Z, MOST_OF_IT, WARMS, grows, together
 from servo_bench.diagnosis.searching.hypotheses import SPRINGS, VEHICLE
 from servo_bench.diagnosis.searching.joint import Named
 from sim_rig.effects import find_effect
 
 SURE = 6.0
 """A strength of fewer standard errors is no cause, because a sandwich of few blocks is too sure;
-unless what it gains, seen and held out, stands that far beyond chance, or is most of all."""
+unless what it gains stands that far beyond chance, seen and held out, or both together and neither
+little; or is most of all; or warms, which what was held out shows."""
 FEWEST_LOST = 1
 
 
@@ -33,7 +34,7 @@ def causes_of(finding: Finding) -> Iterator[Cause]:
     there |= {reading.effect for reading in finding.readings}
     for one in finding.named:
         name = f"{one.effect}.{find_effect(one.effect).strengths[0]}"
-        if _is_sure(one) or name not in known or abs(numbers[name].value) > SURE * known[name]:
+        if is_sure(one) or name not in known or abs(numbers[name].value) > SURE * known[name]:
             yield cause_of(one, numbers, frozenset(there))
     if len(finding.lost.rows) >= FEWEST_LOST:
         low, high = finding.lost.interval
@@ -67,11 +68,15 @@ def _seen_in_the_data(effect: str, **parameters: Quantity) -> Cause:
     return Cause(effect=effect, parameters=parameters, confidence=0.97)
 
 
-def _is_sure(one: Named) -> bool:
+def is_sure(one: Named) -> bool:
     """Whether its own round leaves no doubt; what carried another had none."""
     found = one.contender
     most = min(found.seen_gain, found.held_gain) > MOST_OF_IT
-    return one.missed_z is None and (min(found.seen_z, found.held_z) > SURE or most)
+    least_z = min(found.seen_z, found.held_z)
+    far = together(found) > np.hypot(SURE, SURE) and one.effect not in SPRINGS
+    beyond = least_z > SURE or (least_z > HELD_Z and far)
+    grown = one.effect in WARMS and grows(found.seen_z, found.held_z) and found.held_z > SURE
+    return one.missed_z is None and (beyond or most or grown)
 
 
 def carried_cause(effect: str, missed_z: float, numbers: dict[str, Quantity]) -> Cause:

@@ -12,6 +12,7 @@ from servo_bench.diagnosis.comparing.rows import Array
 from servo_bench.diagnosis.fitting.free import unit_of
 from servo_bench.diagnosis.judging.verdict import Cause, Limit, Quantity
 from servo_bench.diagnosis.searching.finding import Finding
+from servo_bench.diagnosis.searching.gate import WARMS
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found
 from servo_bench.diagnosis.searching.sizes import material_sizes
@@ -20,7 +21,7 @@ from sim_rig.effects import find_effect
 SPREAD, OWN_SHARE, KIND_SHARE = 2.0, 0.02, 0.35
 """Set on 43 named causes of development seeds of tests/truth, of which 95 % were covered; a quarter
 of the kind's size covered 89 % of some 180 in later campaigns, and missed a damping by 10 %."""
-WARMING, WARMING_SHARE = frozenset({"thermal_friction", "thermal_torque_constant"}), 0.5
+WARMING_SHARE = 0.5
 """Of what warms a recording tells the slope, size over time constant, and no more if it is short.
 Bearings and magnets take 300 to 1800 s: a logarithm that scatters by a half about 600 s."""
 DETECTION = np.sqrt(20.9)
@@ -44,7 +45,7 @@ def quantities(found: Found, scales: Scales) -> dict[str, Quantity]:
         strength = find_effect(unknown.effect).strengths[0]
         kind = kinds.get(unknown.effect, 0.0) if unknown.field == strength else 0.0
         own = 1.0 if unknown.circular else float(value)
-        slow = unknown.effect in WARMING and unknown.field == strength
+        slow = unknown.effect in WARMS and unknown.field == strength
         share = WARMING_SHARE if slow else OWN_SHARE
         error = float(np.linalg.norm([SPREAD * reached, share * own, KIND_SHARE * kind]))
         numbers[unknown.name] = Quantity(

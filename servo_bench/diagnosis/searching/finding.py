@@ -205,7 +205,7 @@ def find_causes(
     final, plain = _coasting_at_last(late, final, plain, nothing=not (named or absorbed))
     out = {e for e in READ_OFF if e in without or (only and e not in only)}
     final, named, readings = with_readings(whole, final, named, late, out)
-    named = beside_the_unlike(whole, final, named, band, report)
+    named = beside_the_unlike(final, named, late, small=absorbed)
     return Finding(
         recordings=recordings,
         held_out=held_out,

@@ -60,8 +60,10 @@ WITHIN = frozenset(
 cause, however much its shape may gain where little is wrong. So is a gap, but a little of that is
 one (`gap`)."""
 
-WARMING, FORETOLD_Z = frozenset({"thermal_torque_constant"}), 10.0
-"""What is held out comes last, and has most of it. Of friction another speed would do the same."""
+WARMS = frozenset({"thermal_torque_constant", "thermal_friction"})
+"""What is held out comes last, and has most of it."""
+WARM_MAGNETS, FORETOLD_Z = "thermal_torque_constant", 10.0
+"""Of friction another speed would do the same as warmth."""
 
 
 GIVE, NOTED = 0.1, 0.5
@@ -130,8 +132,22 @@ def passes_slowly(contender: Contender) -> bool:
     """
     if contender.held_gain > HELD_GAIN and is_sure(contender):
         return True
+    if contender.effect != WARM_MAGNETS:
+        return False
+    if contender.held_gain > HELD_GAIN and grows(contender.seen_z, contender.held_z):
+        return True
     foretold = contender.held_z > FORETOLD_Z and contender.held_gain > FURTHER_GAIN
-    return contender.effect in WARMING and foretold and contender.seen_gain > HELD_GAIN
+    return foretold and contender.seen_gain > HELD_GAIN
+
+
+def grows(seen_z: float, held_z: float) -> bool:
+    """Whether what warms is beyond chance: what was held out comes last, and says so.
+
+    Of a number that is t of its deviations from nothing these are t/2: together they ask for 8. On
+    28 recordings of development seeds without a warming K_T none was fitted at all; two with one of
+    3.4 and 5.8 % stood at 1.9 and 2.3 seen, 3.6 and 4.0 held out.
+    """
+    return seen_z > 0.5 * HELD_Z and held_z > HELD_Z and float(np.hypot(seen_z, held_z)) > SEEN_Z
 
 
 def passes_beside_coasting(contender: Contender, *, right: bool) -> bool:
@@ -160,10 +176,10 @@ def stands_far_out(contender: Contender) -> bool:
 def is_sure(contender: Contender) -> bool:
     """Beyond chance on both together, where neither speaks against it."""
     least_z = min(contender.seen_z, contender.held_z)
-    return bool(least_z > 0.5 * HELD_Z and _together(contender) > np.hypot(SEEN_Z, HELD_Z))
+    return bool(least_z > 0.5 * HELD_Z and together(contender) > np.hypot(SEEN_Z, HELD_Z))
 
 
-def _together(contender: Contender) -> float:
+def together(contender: Contender) -> float:
     """Beyond chance on what was seen and on what was held out."""
     return float(np.hypot(contender.seen_z, contender.held_z))
 
@@ -173,7 +189,7 @@ def passes(contender: Contender, *, named: int = 0, right: bool = False) -> bool
 
     `named` causes are in the base already; `right`: it misses no more than it may.
     """
-    if right and contender.effect in SPRINGS and _together(contender) < GIVES_Z:
+    if right and contender.effect in SPRINGS and together(contender) < GIVES_Z:
         return False
     least = FURTHER_GAIN if right else SECOND_GAIN if named else HELD_GAIN
     much = min(contender.seen_gain, contender.held_gain) > MUCH

@@ -17,6 +17,8 @@ from servo_bench.diagnosis.searching.coasting import is_coasting
 from servo_bench.diagnosis.searching.contenders import REFINES, Contender, Round
 from servo_bench.diagnosis.searching.gate import (
     RIGHT,
+    WARMS,
+    grows,
     is_felt,
     is_material,
     misfit,
@@ -88,7 +90,7 @@ def fit_jointly(
             less = without_effect(whole, final, one.effect, band)
         except EffectError:  # the others need it: a load of the inertia that it adds
             continue
-        if not is_needed(final, less):
+        if not (is_needed(final, less) or _shows_later(whole, final, less, one.effect)):
             kept.remove(one)
             final = less
     return final, kept
@@ -124,6 +126,16 @@ def needed_vehicle(
 def is_needed(final: Found, less: Found) -> bool:
     """Whether a joint fit misses what was taken out of it."""
     return _advantage(final, less) > NEEDED_Z and share_of(final, less) > NEEDED_SHARE
+
+
+def _shows_later(whole: Evidence, final: Found, less: Found, effect: str) -> bool:
+    """Whether what warms is missed by what was held out, which comes last and has most of it."""
+    if effect not in WARMS:
+        return False
+    held = whole.held_out([final.model, less.model])
+    with_it, without = (errors.costs(final.sigma) for errors in held)
+    takes = 1.0 - float(with_it.sum() / without.sum())
+    return takes > NEEDED_SHARE and grows(_advantage(final, less), block_z(with_it, without))
 
 
 def share_of(final: Found, less: Found) -> float:

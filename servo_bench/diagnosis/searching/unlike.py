@@ -6,16 +6,18 @@ gap do not: that they were as good says nothing of either. What does is whether 
 where the rival is there too, beside everything that was found since.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
 from servo_bench.diagnosis.comparing.evidence import Evidence, block_z
+from servo_bench.diagnosis.searching.classes import class_of
+from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting
 from servo_bench.diagnosis.searching.contenders import LIKE, RIVAL_Z, Contender, faced
 from servo_bench.diagnosis.searching.gate import is_sure
 from servo_bench.diagnosis.searching.hypotheses import SPRINGS
 from servo_bench.diagnosis.searching.joint import NEEDED_SHARE, Named, own_unknowns
-from servo_bench.diagnosis.searching.rounds import Told
+from servo_bench.diagnosis.searching.late import Late
 from servo_bench.diagnosis.searching.runoff import (
     brought_by,
     put,
@@ -29,17 +31,19 @@ from sim_rig.errors import SimRigError
 
 
 def beside_the_unlike(
-    whole: Evidence,
     final: Found,
     named: Sequence[Named],
-    band: Sequence[Unknown],
-    report: Told,
+    late: Late,
+    *,
+    small: Collection[str] = (),
 ) -> list[Named]:
     """The causes; one that an unlike rival comes near by chance with a round beside that rival, on
-    all that was recorded, where it is missed there beyond chance."""
-    kept = []
+    all that was recorded, where it is missed there beyond chance. What is named too, or too `small`
+    for it, is there already, and no rival."""
+    whole, band, report = late.whole, late.band, late.report
+    kept, there = [], {*small, *(n.effect for n in named)}
     for one in named:
-        rival = _unlike(one, final)
+        rival = _unlike(one, there)
         if rival is None:
             kept.append(one)
             continue
@@ -49,14 +53,14 @@ def beside_the_unlike(
     return kept
 
 
-def _unlike(one: Named, final: Found) -> Contender | None:
-    """The best rival of a cause's round, where they are apart by chance, change different things,
-    and it is not in the joint fit; a coupling, which fits a part of anything, is asked of none."""
+def _unlike(one: Named, there: set[str]) -> Contender | None:
+    """The best rival of a cause's round, none of those that are there, where they are apart by
+    chance and change different things; a coupling, which fits a part of anything, has none."""
     if one.missed_z is not None or one.effect in SPRINGS:
         return None
     able = (c for c in one.round.contenders if c is not one.contender and c.held_gain > 0.0)
     able = (c for c in able if c.effect not in SPRINGS or c.total > one.contender.total)
-    rival = next((c for c in able if c.effect not in final.model.effects), None)
+    rival = next((c for c in able if c.effect not in there | class_of(one.effect)), None)
     if rival is None or abs(block_z(one.contender.costs, rival.costs)) > RIVAL_Z:
         return None
     return rival if abs(one.round.likeness(one.contender, rival)) < LIKE else None
@@ -74,6 +78,7 @@ def _beside(
     one, rival = pair
     gone = brought_by(one, one.contender) - others
     new = brought_by(one, rival) - gone - others
+    new -= OTHERWISE if is_coasting(final.model) else set()  # the load moves so already
     try:
         model, mine = final.model, [u for u in rival.found.unknowns if u.effect in new]
         for effect in new:

@@ -9,7 +9,6 @@ from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.judging.causes import cause_of
 from servo_bench.diagnosis.judging.judgement import UNSURE
 from servo_bench.diagnosis.searching.contenders import Contender, Round, faced
-from servo_bench.diagnosis.searching.finding import nothing_told
 from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Trial
 from servo_bench.diagnosis.searching.joint import Named, own_unknowns
 from servo_bench.diagnosis.searching.late import Late
@@ -23,9 +22,13 @@ from tests.fit_recordings import NOMINAL, recorded
 
 MODEL = Model(NOMINAL)
 BAND = nuisances(0.05, NOMINAL.backlash_gap_rad)
-LAG, LINE = "current_loop_lag", "cogging"
-SIZES = {LAG: {"lag_s": 4e-4}, LINE: {"torque_nm": 3e-3, "order": 24.0, "phase_rad": 0.4}}
-FREE = {LAG: ("lag_s",), LINE: ("torque_nm", "phase_rad")}
+LAG, LINE, DELAY = "current_loop_lag", "cogging", "transport_delay"
+SIZES = {
+    LAG: {"lag_s": 4e-4},
+    DELAY: {"delay_s": 4e-4},
+    LINE: {"torque_nm": 3e-3, "order": 24.0, "phase_rad": 0.4},
+}
+FREE = {LAG: ("lag_s",), DELAY: ("delay_s",), LINE: ("torque_nm", "phase_rad")}
 
 
 def rig(*effects: str) -> Model:
@@ -44,25 +47,34 @@ def fitted(seen: Evidence, effect: str) -> tuple[Found, Hypothesis]:
     return seek(seen, start, merged(BAND, own), iterations=3), hypothesis
 
 
-def doubted(seen: Evidence, effect: str, rival: str) -> Named:
-    """A cause that leads its rival by nothing, as a recording's beginning may say."""
+def doubted(seen: Evidence, effect: str, *rivals: str) -> Named:
+    """A cause that leads its rivals by nothing, as a recording's beginning may say."""
     base = seek(seen, MODEL, BAND, iterations=3)
-    played = faced(seen, base, [fitted(seen, name) for name in (effect, rival)])
+    played = faced(seen, base, [fitted(seen, name) for name in (effect, *rivals)])
     contenders = {c.effect: c for c in played.contenders}
     one = contenders[effect]
-    other = replace(contenders[rival], costs=one.costs + _noise(one), held_gain=0.1)
-    begun: Round = replace(played, contenders=(one, other))
+    others = tuple(_as_good(contenders[rival], one) for rival in rivals)
+    begun: Round = replace(played, contenders=(one, *others))
     return Named(effect, begun, one, own_unknowns(one, effect))
 
 
-def _noise(one: Contender) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    return np.random.default_rng(3).normal(0.0, 0.01 * one.costs.mean(), one.costs.size) + 1e-6
+def _as_good(rival: Contender, one: Contender) -> Contender:
+    rough = np.random.default_rng(3).normal(0.0, 0.01 * one.costs.mean(), one.costs.size)
+    return replace(rival, costs=one.costs + rough, held_gain=0.1)
 
 
-def late_of(seen: Evidence, report: Told = nothing_told) -> Late:
-    """Asked of everything, with nothing else to ask."""
+def late_of(seen: Evidence, report: Told, *believed: str) -> Late:
+    """Asked of everything, with nothing else to ask; the rig's file has what is `believed`."""
     commands = np.asarray(seen.fitted[0].source.rows.channel("velocity_command_rad_s"))
-    return Late(seen, seen, (), scales_of(MODEL, commands, 0.008), BAND, report)
+    scales = scales_of(MODEL, commands, 0.008)
+    had = tuple((name, rig(name).effects[name]) for name in believed)
+    return Late(seen, seen, (), scales._replace(believed=had), BAND, report)
+
+
+@pytest.fixture(scope="module")
+def seen() -> Evidence:
+    """Of a rig with both."""
+    return evidence_of([recorded(rig(LAG, LINE), 71, slots=900)], MODEL, block="loop")
 
 
 @pytest.mark.parametrize(
@@ -71,24 +83,43 @@ def late_of(seen: Evidence, report: Told = nothing_told) -> Late:
 def test_what_is_missed_beside_an_unlike_rival_is_no_matter_of_one_or_the_other(
     hidden: tuple[str, ...], is_there: bool
 ) -> None:
-    seen = evidence_of([recorded(rig(*hidden), 71, slots=900)], MODEL, block="loop")
-    one = doubted(seen, LAG, LINE)
-    final = one.contender.found
-    (kept,) = beside_the_unlike(final, [one], late_of(seen))
+    both = evidence_of([recorded(rig(*hidden), 71, slots=900)], MODEL, block="loop")
+    one, told = doubted(both, LAG, LINE), list[str]()
+    (kept,) = beside_the_unlike(one.contender.found, [one], late_of(both, told.append))
+    assert told == [f"{LAG} beside {LINE}"]
     assert kept.effect == LAG
     assert (kept is not one) is is_there
+    assert kept.beside == (LINE if is_there else "")
+    before, after = cause_of(one, {}), cause_of(kept, {})
+    assert before.rival == LINE
+    assert after.rival == (None if is_there else LINE)
     if is_there:
-        assert LINE in kept.round.base.model.effects
-        assert LAG in kept.round.base.model.effects  # in its band, as every rig may have it
-        assert cause_of(one, {}).confidence < cause_of(kept, {}).confidence > UNSURE
+        names = {u.name for u in kept.round.base.unknowns}
+        assert {f"{LINE}.torque_nm", f"{LINE}.phase_rad"} <= names, "the rival is free there"
+        assert kept.round.base.model.effects[LAG].lag_s < 0.5 * SIZES[LAG]["lag_s"]
+        assert after.confidence > max(before.confidence, UNSURE)
 
 
-@pytest.mark.parametrize("named", [True, False])
-def test_no_rival_is_asked_that_is_a_cause_already(named: bool) -> None:
-    seen = evidence_of([recorded(rig(LAG, LINE), 71, slots=600)], MODEL, block="loop")
+def test_what_is_no_rival_is_asked_beside_no_cause(seen: Evidence) -> None:
+    """What is a cause itself, what is too small for a name, what was read off."""
     one = doubted(seen, LAG, LINE)
-    final = one.contender.found
-    told: list[str] = []
-    small = [LINE] if named else []
-    beside_the_unlike(final, [one], late_of(seen, told.append), small=small)
-    assert bool(told) is not named
+    final, line = one.contender.found, one.round.contenders[1]
+    named = replace(one, effect=LINE, contender=line, missed_z=9.0)
+    told = list[str]()
+    late = late_of(seen, told.append)
+    assert beside_the_unlike(final, [one, named], late) == [one, named]
+    assert beside_the_unlike(final, [one], late, there=[LINE]) == [one]
+    assert not told
+
+
+def test_beside_one_that_changes_the_same_it_is_one_or_the_other(seen: Evidence) -> None:
+    """However surely the cause is missed beside another one, which is not alike."""
+    one, told = doubted(seen, LAG, LINE, DELAY), list[str]()
+    assert beside_the_unlike(one.contender.found, [one], late_of(seen, told.append)) == [one]
+    assert not told
+
+
+def test_a_cause_that_the_rig_has_already_is_compared_with_that(seen: Evidence) -> None:
+    one, told = doubted(seen, LAG, LINE), list[str]()
+    assert beside_the_unlike(one.contender.found, [one], late_of(seen, told.append, LAG)) == [one]
+    assert not told

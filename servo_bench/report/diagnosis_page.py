@@ -174,6 +174,7 @@ def _round_plate(number: int, played: Round, contender: Contender | None, what: 
 
 def _evidence_words(verdict: Verdict, finding: Finding) -> Iterator[str]:
     yield from _in_the_data(finding)
+    beside = {n.effect: n.beside for n in finding.named}
     for cause in verdict.causes:
         if cause.evidence is None:
             continue
@@ -181,6 +182,11 @@ def _evidence_words(verdict: Verdict, finding: Finding) -> Iterator[str]:
         text += "standard deviations of the blocks' scatter"
         if cause.rival is not None and cause.over_rival is not None:
             text += _beside_its_rival(_name(cause.rival), cause.over_rival)
+        if beside.get(cause.effect):
+            text += (
+                f", both with {_name(beside[cause.effect])}, which was as good alone and changes "
+                "something else: it may be there or not"
+            )
         yield text + "."
 
 

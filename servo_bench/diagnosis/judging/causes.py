@@ -13,11 +13,11 @@ from servo_bench.diagnosis.comparing.evidence import block_z
 from servo_bench.diagnosis.judging.intervals import names_of, quantities, standard_errors
 from servo_bench.diagnosis.judging.verdict import Cause, Quantity
 from servo_bench.diagnosis.searching.classes import class_of, splitting
-from servo_bench.diagnosis.searching.contenders import BY_CHANCE, Contender
 from servo_bench.diagnosis.searching.finding import Finding
 from servo_bench.diagnosis.searching.gate import HELD_Z, MOST_OF_IT, WARMS, grows, together
-from servo_bench.diagnosis.searching.hypotheses import SPRINGS, VEHICLE
+from servo_bench.diagnosis.searching.hypotheses import SPRINGS
 from servo_bench.diagnosis.searching.joint import Named
+from servo_bench.diagnosis.searching.unlike import rivals_of
 from sim_rig.effects import find_effect
 
 SURE = 6.0
@@ -92,22 +92,12 @@ def carried_cause(effect: str, missed_z: float, numbers: dict[str, Quantity]) ->
 def cause_of(
     one: Named, numbers: dict[str, Quantity], there: frozenset[str] = frozenset()
 ) -> Cause:
-    """A cause as a verdict tells it, beside its best rival.
-
-    None are: who does worse than nothing on what was held out, however well it may fit; what is
-    `there` as well; and a coupling that led by chance, which was passed over for a name.
-    """
+    """A cause as a verdict tells it, beside its best rival; what is `there` as well is none."""
     if one.missed_z is not None:
         return carried_cause(one.effect, one.missed_z, numbers)
-    contenders = one.round.contenders
-    rivals = [c for c in contenders if c is not one.contender and c.effect != one.effect]
     members = class_of(one.effect) - {one.effect}
     near = {c.effect for c in one.round.near(one.contender)} - {one.effect}
-    out = members | there
-    others = [c for c in rivals if c.effect not in out and c.held_gain > 0.0]
-    if one.effect not in SPRINGS:
-        others = [c for c in others if not _is_passed_over(one, c)]
-    rival = min(others, key=lambda c: c.total) if others else None
+    rival = next(iter(rivals_of(one, there)), None)
     over = block_z(one.contender.costs, rival.costs) if rival is not None else None
     evidence = block_z(one.contender.costs, one.round.base_costs)
     ambiguous = tuple(sorted(members | (near - there)))
@@ -121,12 +111,6 @@ def cause_of(
         rival=rival.effect if rival is not None else None,
         over_rival=over,
     )
-
-
-def _is_passed_over(one: Named, rival: Contender) -> bool:
-    led = rival.total < one.contender.total
-    by_chance = block_z(rival.costs, one.contender.costs) < BY_CHANCE
-    return rival.effect in SPRINGS - {VEHICLE} and led and by_chance
 
 
 def _of_effect(effect: str, numbers: dict[str, Quantity]) -> dict[str, Quantity]:

@@ -5,7 +5,8 @@
     hygiene     lost commands are put right and counted
     rounds      screen, fit, compete, accept; what is there but too small to matter is absorbed
     whole       everything accepted, on all that was recorded, in fine steps; backward deletion;
-                a cause against its near rivals (`runoff`); what only all of it shows (`late`)
+                a cause against its near rivals (`runoff`); what only all of it shows (`late`);
+                a cause beside what was as good and changes something else (`unlike`)
     lattice     of the load angle, where the simulation with its causes does not stand on it too;
                 and what its encoder says wrong by itself, where that was too faint for a round
     judgement   named, none, or unknown; confidence, rivals, limits, gain on data no fit saw
@@ -205,7 +206,8 @@ def find_causes(
     final, plain = _coasting_at_last(late, final, plain, nothing=not (named or absorbed))
     out = {e for e in READ_OFF if e in without or (only and e not in only)}
     final, named, readings = with_readings(whole, final, named, late, out)
-    named = beside_the_unlike(final, named, late, small=absorbed)
+    there = {*_absorbed(absorbed, named, final), *(read.effect for read in readings)}
+    named = beside_the_unlike(final, named, late, there=there)
     return Finding(
         recordings=recordings,
         held_out=held_out,

@@ -47,7 +47,8 @@ class Named:
     """An accepted cause and the round that found it.
 
     `missed_z`, for what had no round of its own but carried another: by how much, in block scatter,
-    the joint fit is better than one without it.
+    the joint fit is better than one without it. `beside`, where the round's base has a rival, which
+    effect that is (`unlike`).
     """
 
     effect: str
@@ -55,6 +56,7 @@ class Named:
     contender: Contender
     unknowns: tuple[Unknown, ...]
     missed_z: float | None = None
+    beside: str = ""
 
 
 def fit_jointly(
@@ -90,7 +92,7 @@ def fit_jointly(
             less = without_effect(whole, final, one.effect, band)
         except EffectError:  # the others need it: a load of the inertia that it adds
             continue
-        if not (is_needed(final, less) or _shows_later(whole, final, less, one.effect)):
+        if not is_missed(whole, final, less, one.effect, kept):
             kept.remove(one)
             final = less
     return final, kept
@@ -128,9 +130,16 @@ def is_needed(final: Found, less: Found) -> bool:
     return _advantage(final, less) > NEEDED_Z and share_of(final, less) > NEEDED_SHARE
 
 
-def _shows_later(whole: Evidence, final: Found, less: Found, effect: str) -> bool:
-    """Whether what warms is missed by what was held out, which comes last and has most of it."""
-    if effect not in WARMS:
+def is_missed(
+    whole: Evidence, final: Found, less: Found, effect: str, named: Sequence[Named]
+) -> bool:
+    """Whether a joint fit misses a cause; one that warms also by what was held out, which comes
+    last and has most of it. Of friction another speed would do the same, so that it has to be
+    beside the friction that it warms from."""
+    if is_needed(final, less):
+        return True
+    plain = REFINES.get(effect)
+    if effect not in WARMS or not (plain is None or any(n.effect == plain for n in named)):
         return False
     held = whole.held_out([final.model, less.model])
     with_it, without = (errors.costs(final.sigma) for errors in held)

@@ -24,6 +24,7 @@ from servo_bench.diagnosis.searching.gap import play_gap
 from servo_bench.diagnosis.searching.gate import (
     LINES,
     RIGHT_ALREADY,
+    is_sure,
     misfit,
     passes_beside_coasting,
     passes_slowly,
@@ -181,11 +182,12 @@ def unsure(failed: Sequence[Round]) -> frozenset[str]:
 def _play_late_round(
     late: Late, final: Found, asked: Sequence[Hypothesis], able: Callable[[Contender], bool]
 ) -> Named | None:
-    """The best of these that is `able` and worth a name, beside everything that was found."""
+    """The best of these that is `able` and worth a name, beside everything that was found; who is
+    sure before who only grows."""
     if not asked:
         return None
     played = _late_round(late, final, asked)
-    for found in no_plainer(played):
+    for found in sorted(no_plainer(played), key=lambda c: not is_sure(c)):
         named = Named(found.effect, played, found, own_unknowns(found, found.effect))
         if able(found) and is_worth_it(named, found.found, late.scales):
             return named

@@ -23,6 +23,7 @@ from servo_bench.diagnosis.searching.joint import (
     CARRIERS,
     Named,
     carried_by,
+    is_missed,
     is_needed,
     share_of,
     without_effect,
@@ -129,7 +130,9 @@ def doubts(
             continue
         try:
             less = without_effect(whole, final, effect, band)
-            if not is_needed(final, less):  # nor before: a gap that is wrong within its band
+            if not is_missed(
+                whole, final, less, effect, named
+            ):  # nor before: a gap that is wrong within its band
                 continue
             instead = _instead(whole, final, effect, band, free, less=less)
         except EffectError:  # the others need it

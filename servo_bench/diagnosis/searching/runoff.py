@@ -54,7 +54,9 @@ def run_off(
         for rival in rivals:
             try:
                 new = brought_by(one, rival) - others
-                ends.append((_instead(whole, now, gone, (rival, new), band), rival.hypothesis))
+                ends.append(
+                    (sought_instead(whole, now, gone, (rival, new), band), rival.hypothesis)
+                )
             except (FitError, SimRigError, np.linalg.LinAlgError):
                 continue
         if len(ends) == 1:
@@ -121,7 +123,7 @@ def sought_again(whole: Evidence, found: Found, own: Collection[str]) -> Found:
     return settle(whole, again, own, turns=1)
 
 
-def _instead(
+def sought_instead(
     whole: Evidence,
     now: Found,
     gone: Collection[str],

@@ -1,6 +1,8 @@
 """A cause and a rival that changes something else: both may be, and one that is missed is."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from servo_bench.diagnosis.searching.scales import scales_of
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unknowns import merged, nuisances, widened
 from servo_bench.diagnosis.searching.unlike import beside_the_unlike
+from servo_bench.report.diagnosis_page import _evidence_words
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, recorded
 
@@ -123,3 +126,14 @@ def test_a_cause_that_the_rig_has_already_is_compared_with_that(seen: Evidence) 
     one, told = doubted(seen, LAG, LINE), list[str]()
     assert beside_the_unlike(one.contender.found, [one], late_of(seen, told.append, LAG)) == [one]
     assert not told
+
+
+def test_a_page_says_what_a_cause_was_told_beside() -> None:
+    cause = SimpleNamespace(effect=LAG, evidence=7.0, rival=None, over_rival=None)
+    verdict: Any = SimpleNamespace(causes=[cause])
+    lost = SimpleNamespace(rows=())
+    for beside, says in ((LINE, "both with cogging"), ("", "scatter.")):
+        named = [SimpleNamespace(effect=LAG, beside=beside)]
+        found: Any = SimpleNamespace(lattice=None, lost=lost, readings=(), named=named)
+        (words,) = _evidence_words(verdict, found)
+        assert says in words

@@ -256,7 +256,7 @@ def test_a_rig_that_dies_mid_run_is_named_and_the_recording_kept(
         run(experiment(30.0), config.with_bus(**up.bus), out, progress=kill)
     with pytest.raises(SimRigError, match="ended while it was needed"):
         running.__exit__(None, None, None)
-    assert len(load(out)) >= 60
+    assert load(out)["slot"].max() >= 59  # a slot that the machine slept through has no row
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from servo_bench.diagnosis.judging.causes import cause_of, is_sure
+from servo_bench.diagnosis.judging.causes import cause_of, leaves_no_doubt
 from servo_bench.diagnosis.judging.judgement import _explained, _has_a_name
 from servo_bench.diagnosis.judging.verdict import Cause
 from servo_bench.diagnosis.searching import joint, rounds
@@ -122,7 +122,7 @@ def test_a_size_of_few_deviations_is_a_cause_where_its_gain_is_far_beyond_chance
     gains: dict[str, float] = {"seen_gain": 0.1, "held_gain": 0.05}
     contender = SimpleNamespace(seen_z=seen_z, held_z=held_z, **gains)
     one: Any = SimpleNamespace(effect=effect, contender=contender, missed_z=None)
-    assert is_sure(one) is sure
+    assert leaves_no_doubt(one) is sure
 
 
 @pytest.mark.parametrize(

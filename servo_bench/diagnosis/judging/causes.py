@@ -34,7 +34,8 @@ def causes_of(finding: Finding) -> Iterator[Cause]:
     there |= {reading.effect for reading in finding.readings}
     for one in finding.named:
         name = f"{one.effect}.{find_effect(one.effect).strengths[0]}"
-        if is_sure(one) or name not in known or abs(numbers[name].value) > SURE * known[name]:
+        known_well = name not in known or abs(numbers[name].value) > SURE * known[name]
+        if known_well or leaves_no_doubt(one):
             yield cause_of(one, numbers, frozenset(there))
     if len(finding.lost.rows) >= FEWEST_LOST:
         low, high = finding.lost.interval
@@ -68,7 +69,7 @@ def _seen_in_the_data(effect: str, **parameters: Quantity) -> Cause:
     return Cause(effect=effect, parameters=parameters, confidence=0.97)
 
 
-def is_sure(one: Named) -> bool:
+def leaves_no_doubt(one: Named) -> bool:
     """Whether its own round leaves no doubt; what carried another had none."""
     found = one.contender
     most = min(found.seen_gain, found.held_gain) > MOST_OF_IT

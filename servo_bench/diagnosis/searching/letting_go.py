@@ -130,10 +130,8 @@ def doubts(
             continue
         try:
             less = without_effect(whole, final, effect, band)
-            if not is_missed(
-                whole, final, less, effect, named
-            ):  # nor before: a gap that is wrong within its band
-                continue
+            if not is_missed(whole, final, less, effect, named):
+                continue  # nor before: a gap that is wrong within its band
             instead = _instead(whole, final, effect, band, free, less=less)
         except EffectError:  # the others need it
             continue

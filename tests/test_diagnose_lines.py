@@ -60,6 +60,18 @@ def test_a_wave_of_a_third_of_a_count_has_its_size_and_phase(
     assert found.phase_rad == pytest.approx(0.7, abs=3.0 * error / amplitude_rad)
 
 
+def test_a_load_that_bounces_has_its_scales_wave_where_it_rests() -> None:
+    """Slowed by less, it is thrown about for most of the rows, and they say another wave."""
+    wave = {"amplitude_rad": 9e-5, "line_order": float(LINES), "phase_rad": 0.7}
+    thrown = coasting(MODEL, 300.0).with_effect("encoder_subdivision", **wave)
+    found = subdivision(compared(48, thrown), MODEL)
+    assert found is not None
+    assert found.line_order == LINES
+    error = found.standard_error_rad
+    assert found.amplitude_rad == pytest.approx(9e-5, abs=3.0 * error)
+    assert found.phase_rad == pytest.approx(0.7, abs=3.0 * error / 9e-5)
+
+
 @pytest.mark.parametrize("seed", [38, 39, 40])
 def test_errors_that_hang_together_make_no_line(seed: int) -> None:
     """A shaft that rests between moves says one wrong thing ten times at one place."""

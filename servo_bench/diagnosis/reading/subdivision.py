@@ -24,6 +24,7 @@ from servo_bench.diagnosis.comparing.noise import floor_of
 from servo_bench.diagnosis.comparing.rows import Array
 from servo_bench.diagnosis.reading.orders import OrderLine
 from servo_bench.diagnosis.reading.reading import Reading
+from servo_bench.diagnosis.reading.resting import resting
 from sim_rig.model import Model
 
 EFFECT = "encoder_subdivision"
@@ -34,7 +35,8 @@ STANDS_OUT, NAMED, SLOW_ROWS = 30.0, 1.25, (ROWS, 25)
 """Of a line that is tried, and so many times that of one that is named by itself; asked beside the
 middle of few rows, and of many, where bounces in the gap hide less. Chance made lines up to 27 in
 58 recordings of development seeds that had no wave (at 1 kHz, of 82 before units); a wave of a
-third of a count made 74."""
+third of a count made 74. Where a load bounces, what scatters by more than the sensor's noise counts
+for less: one of a count made 21 of all that scattered there and 51 so, chance up to 25."""
 RARE = 0.01
 """Share of the lines that is higher than -2 ln of it by chance."""
 BEYOND = 4.0
@@ -92,10 +94,16 @@ def load_lines(comparison: Comparison, model: Model, most: int = 3) -> tuple[Ord
 
 
 def subdivision(comparison: Comparison, model: Model) -> Subdivision | None:
-    """The strongest line's wave, where both halves of the recording have the same one."""
-    scale = _scale(comparison, model)
-    lines = () if scale is None else _lines(scale, 1, NAMED)
-    if scale is None or not lines:
+    """The strongest line's wave, where both halves of the recording have the same one; of all rows,
+    or where that has none of those in which the load rests."""
+    scales = (_scale(comparison, model), _at_rest(comparison, model))
+    waves = (_told(scale) for scale in scales if scale is not None)
+    return next((wave for wave in waves if wave is not None), None)
+
+
+def _told(scale: _Scale) -> Subdivision | None:
+    lines = _lines(scale, 1, NAMED)
+    if not lines:
         return None
     order, half = lines[0].order, scale.angle.size // 2
     wave, deviation = _wave(scale, order)
@@ -107,6 +115,11 @@ def subdivision(comparison: Comparison, model: Model) -> Subdivision | None:
     if differs or amplitude < CLEARLY * deviation or left > NOISIER * scale.floor_rad:
         return None
     return Subdivision(order, amplitude, float(np.arctan2(wave[1], wave[0])), deviation)
+
+
+def _at_rest(comparison: Comparison, model: Model) -> _Scale | None:
+    rests = resting(comparison, model)
+    return None if rests is None else _Scale(rests.angle, rests.error, rests.floor_rad)
 
 
 def _scale(comparison: Comparison, model: Model) -> _Scale | None:
@@ -126,10 +139,10 @@ def _scale(comparison: Comparison, model: Model) -> _Scale | None:
     return _Scale(angle[known], error[known], floor_rad)
 
 
-def _quick(error: Array, rows: int = ROWS) -> Array:
-    """What of the error is quick, in deviations."""
+def _quick(error: Array, rows: int = ROWS, most_rad: float = np.inf) -> Array:
+    """What of the error is quick, in its own deviations, or in `most_rad` where that is less."""
     quick = error - median_filter(error, rows)
-    return np.asarray(quick / max(_spread(quick), 1e-12))
+    return np.asarray(quick / max(min(_spread(quick), most_rad), 1e-12))
 
 
 def _deviation(error: Array) -> float:
@@ -142,7 +155,9 @@ def _spread(values: Array) -> float:
 
 
 def _lines(scale: _Scale, most: int, least: float = 1.0) -> tuple[OrderLine, ...]:
-    highest = np.max([_heights(scale, rows) for rows in SLOW_ROWS], axis=0)
+    deviations = (np.inf, scale.floor_rad)
+    heights = [_heights(scale, rows, most) for rows in SLOW_ROWS for most in deviations]
+    highest = np.max(heights, axis=0)
     turns = max(float(np.ptp(scale.angle)) / (2.0 * np.pi), 0.25)
     found: list[OrderLine] = []
     for place in np.argsort(-highest)[:40]:
@@ -153,9 +168,10 @@ def _lines(scale: _Scale, most: int, least: float = 1.0) -> tuple[OrderLine, ...
     return tuple(found[:most])
 
 
-def _heights(scale: _Scale, rows: int) -> Array:
-    """Of every order from zero to the highest, in units of chance; zero below the lowest."""
-    quick = _quick(scale.error, rows)
+def _heights(scale: _Scale, rows: int, most_rad: float) -> Array:
+    """Of every order from zero to the highest, in units of chance; zero below the lowest. What
+    counts is judged by the errors' own deviation, or by `most_rad` where that is less."""
+    quick = _quick(scale.error, rows, most_rad)
     values = quick * np.maximum(1.0 - (quick / BEYOND) ** 2, 0.0) ** 2  # Tukey's biweight
     places = np.rint(scale.angle * (PLACES / (2.0 * np.pi))).astype(np.int64) % PLACES
     waves = np.fft.rfft(np.bincount(places, values, PLACES))[:HIGHEST_ORDER]

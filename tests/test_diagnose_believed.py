@@ -1,19 +1,28 @@
 """A rig's file that has effects already: what is right in it is no cause, what is wrong is one."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import pytest
 
+from servo_bench.diagnosis.concluding import conclude
 from servo_bench.diagnosis.judging.judgement import verdict_of
 from servo_bench.diagnosis.searching.finding import find_causes
 from servo_bench.diagnosis.searching.gate import beyond_belief
 from servo_bench.diagnosis.searching.hypotheses import hypotheses
 from servo_bench.diagnosis.searching.scales import as_believed, band_of, scales_of
+from servo_bench.errors import ConfigError
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, PERIOD_S, commands, recorded
 
 MODEL = Model(NOMINAL)
 RUBS = {"torque_nm": 0.01, "transition_rad_s": 0.05}
+
+
+def test_a_run_in_slots_that_names_no_rig_asks_for_one() -> None:
+    run = recorded(MODEL, 5, slots=200)
+    with pytest.raises(ConfigError, match="says nothing of its rig: give --rig"):
+        conclude([replace(run, rig=None)])
 
 
 @pytest.mark.parametrize(

@@ -209,6 +209,16 @@ def test_an_interval_is_wider_than_the_sandwich_and_than_what_every_rig_has(
     assert quantity.ci95[0] < COGGING_NM < quantity.ci95[1]
 
 
+def test_an_interval_ends_where_a_number_has_no_meaning() -> None:
+    seen = evidence(24, MODEL.with_effect("coulomb", torque_nm=1e-4))
+    free = (Unknown("coulomb", "torque_nm", 0.0, 1.0, step=0.005),)
+    start = MODEL.with_effect("coulomb", torque_nm=1e-3)
+    quantity = quantities(seek(seen, start, free, seen.floors), SCALES)["coulomb.torque_nm"]
+    assert quantity.value < 1.96 * quantity.standard_error
+    assert quantity.ci95[0] == 0.0
+    assert quantity.ci95[1] == pytest.approx(quantity.value + 1.96 * quantity.standard_error)
+
+
 def test_what_warms_takes_over_the_friction_that_is_taken_away() -> None:
     """Both of one kind had shared what one alone makes, with a width between theirs."""
     warms = {"cold_torque_nm": 0.02, "transition_rad_s": 0.3}
@@ -296,6 +306,7 @@ def test_a_strong_cause_is_named_alone_with_all_its_numbers(
     verdict = verdict_of(finding)
     assert verdict.names == (effect,), verdict.sentence
     found = {name: quantity.value for name, quantity in verdict.causes[0].parameters.items()}
+    assert ("order" in found) == (effect == "cogging")  # chosen, not fitted: known exactly
     for name, value in found.items():
         is_phase = name.endswith("phase_rad")
         off = (

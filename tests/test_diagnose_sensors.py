@@ -53,6 +53,16 @@ def test_an_angle_of_another_size_or_sign_is_told(scale: float) -> None:
     assert float(sentence.split()[4]) == pytest.approx(scale, rel=0.12)
 
 
+@pytest.mark.parametrize("scale", [2.0 * np.pi / 60.0, -1.0])
+def test_a_command_in_another_unit_is_not_told_as_two_wrong_encoders(scale: float) -> None:
+    run = logged(42)
+    command = np.asarray(run["velocity_command_rad_s"]) / scale
+    (sentence,) = told(with_channel(run, "velocity_command_rad_s", command))
+    assert sentence.startswith("Motor and load move")
+    assert "command's unit" in sentence
+    assert float(sentence.split()[4]) == pytest.approx(scale, rel=0.15)
+
+
 @pytest.mark.parametrize(
     ("channel", "role", "rows"),
     [

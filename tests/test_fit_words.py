@@ -85,6 +85,16 @@ def test_a_recording_in_which_nothing_moves() -> None:
         fit(frozen, MODEL, ("J",))
 
 
+def test_a_short_cut_of_a_motion_without_rest_is_not_said_to_stand_still() -> None:
+    """A sensor's noise is then told from its third difference, in which a quick motion is too."""
+    recording = made.recorded(MODEL, 1)
+    way = np.random.default_rng(0).normal(0.0, 0.1, len(recording))
+    moving = made.with_channels(recording, load_angle_rad=way, motor_position_rad=way)
+    moving = made.with_channels(moving, phase=np.maximum(moving["phase"], 2))
+    with pytest.raises(FitError, match="nothing rests in it"):
+        fit(moving, MODEL, ("J",))
+
+
 def test_channels_that_allow_no_block() -> None:
     recording = made.recorded(MODEL, 1)
     bare = {k: v for k, v in recording.channels.items() if k not in made.RUN}

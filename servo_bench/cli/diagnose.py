@@ -31,7 +31,7 @@ def add_to(app: typer.Typer) -> None:
 
 def diagnose(
     recordings: Annotated[
-        list[Path] | None, typer.Argument(metavar="REC...", help="Recordings (MCAP) of one rig.")
+        list[Path] | None, typer.Argument(metavar="REC", help="Recordings (MCAP) of one rig.")
     ] = None,
     *,
     holdout: Annotated[
@@ -41,7 +41,7 @@ def diagnose(
         Path | None, typer.Option(help="The rig that is believed; else the recording's.")
     ] = None,
     model: Annotated[
-        Path | None, typer.Option(help="The model that is believed, [nominal] and [effects.NAME].")
+        Path | None, typer.Option(help="The model that is believed (TOML: nominal, effects.NAME).")
     ] = None,
     without: Annotated[
         list[str] | None, typer.Option(help="Leave this effect out of the catalogue. Repeatable.")
@@ -75,7 +75,9 @@ def diagnose(
     if not recordings:
         raise ConfigError("no recording is given: name one or more MCAP files, or --schema.")
     if rig is not None and model is not None:
-        raise ConfigError("--rig and --model are given both: a model has its own nominal values.")
+        raise ConfigError(
+            "--rig and --model are given both, and each has nominal values of its own: give one."
+        )
     refuse_existing(json, report, rig_out, model_out)
     left_out, alone = _names(without), _names(only)
     check_effects(left_out, alone)

@@ -40,10 +40,10 @@ def fit(
     ],
     rig: Annotated[
         Path | None,
-        typer.Option(help="The rig, for its [nominal]; else the recording's."),
+        typer.Option(help="The rig, for its nominal values; else the recording's."),
     ] = None,
     model: Annotated[
-        Path | None, typer.Option(help="Start from this model, [nominal] and [effects.NAME].")
+        Path | None, typer.Option(help="Start from this model (TOML: nominal, effects.NAME).")
     ] = None,
     held_out: Annotated[
         Path | None, typer.Option(help="Judge on this recording instead of the validation.")

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_bench.diagnosis.comparing.haar import SHORTEST_S, Haar, haar_of
-from servo_bench.diagnosis.comparing.noise import floor_of
+from servo_bench.diagnosis.comparing.noise import floor_of, rests
 from servo_bench.diagnosis.comparing.playing import Piece, Source
 from servo_bench.diagnosis.comparing.rows import EFFORTS, Array, Mask, Rows, rows_of
 from servo_bench.errors import ConfigError, FitError
@@ -392,6 +392,11 @@ def _check(comparison: Comparison) -> None:
     }
     if moved and max(moved.values()) < 3.0:
         told = ", ".join(f"{name} {times:.1f} times its noise" for name, times in moved.items())
+        if not rests(comparison.source.rows):
+            raise FitError(
+                f"motion and noise cannot be told apart in this recording: {told}, and nothing "
+                "rests in it. Leave a second of rest in the recording, or record for longer."
+            )
         raise FitError(
             f"nothing moves in this recording: {told}. Play an excitation that moves the axis, or "
             "check the sensors and the window."

@@ -54,6 +54,12 @@ def floor_of(rows: Rows, name: str, *, increments: bool, simulated: Array | None
     return math.sqrt((least if math.isfinite(least) else 0.0) + quantum) + SMALLEST
 
 
+def rests(rows: Rows) -> bool:
+    """Whether anything rests for long enough to tell noise from motion."""
+    still = _of_the_phase(rows) if "phase" in rows.recording else _resting(rows)
+    return still.size >= FEWEST_STANDING
+
+
 def _variance(standing: Array, quantum: float) -> float:
     """Of what a sensor shows at rest, without samples further off than noise and a few counts."""
     middle = float(np.median(standing))

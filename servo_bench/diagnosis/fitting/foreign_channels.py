@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from servo_bench.errors import FitError
 from servo_bench.recording.blocks import blocks_of
+from servo_bench.recording.measured import TIME
 from servo_bench.recording.recording import Recording
 
 Array = NDArray[np.float64]
@@ -59,8 +60,10 @@ def kind_of(recording: Recording) -> Kind | None:
 
 def is_open(recording: Recording) -> bool:
     """Whether it came from elsewhere, with an effort and the motion (or twist) that it caused, or
-    with the commands of a loop that is known."""
-    return recording.rig is None and (kind_of(recording) is not None or can_be_looped(recording))
+    with the commands of a loop that is known. A run in slots is of a loop whose rig is not told."""
+    if recording.rig is not None or TIME not in recording:
+        return False
+    return kind_of(recording) is not None or can_be_looped(recording)
 
 
 def can_be_looped(recording: Recording) -> bool:

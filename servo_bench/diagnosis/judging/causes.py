@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from servo_bench.diagnosis.comparing.evidence import block_z
+from servo_bench.diagnosis.fitting.free import unit_of
 from servo_bench.diagnosis.judging.intervals import names_of, quantities, standard_errors
 from servo_bench.diagnosis.judging.verdict import Cause, Quantity
 from servo_bench.diagnosis.searching.classes import class_of, splitting
@@ -19,12 +20,15 @@ from servo_bench.diagnosis.searching.hypotheses import SPRINGS
 from servo_bench.diagnosis.searching.joint import Named
 from servo_bench.diagnosis.searching.unlike import rivals_of
 from sim_rig.effects import find_effect
+from sim_rig.model import Model
 
 SURE = 6.0
 """A strength of fewer standard errors is no cause, because a sandwich of few blocks is too sure;
 unless what it gains stands that far beyond chance, seen and held out, or both together and neither
 little; or is most of all; or warms, which what was held out shows."""
 FEWEST_LOST = 1
+BESIDE_NOTHING = 1.96
+"""Standard errors up to which a further line of an effect is none."""
 
 
 def causes_of(finding: Finding) -> Iterator[Cause]:
@@ -36,7 +40,7 @@ def causes_of(finding: Finding) -> Iterator[Cause]:
         name = f"{one.effect}.{find_effect(one.effect).strengths[0]}"
         known_well = name not in known or abs(numbers[name].value) > SURE * known[name]
         if known_well or leaves_no_doubt(one):
-            yield cause_of(one, numbers, frozenset(there))
+            yield _in_its_shape(cause_of(one, numbers, frozenset(there)), finding.final.model)
     if len(finding.lost.rows) >= FEWEST_LOST:
         low, high = finding.lost.interval
         yield Cause(
@@ -117,6 +121,28 @@ def cause_of(
 def _of_effect(effect: str, numbers: dict[str, Quantity]) -> dict[str, Quantity]:
     prefix = f"{effect}."
     return {n.removeprefix(prefix): q for n, q in numbers.items() if n.startswith(prefix)}
+
+
+def _in_its_shape(cause: Cause, model: Model) -> Cause:
+    """With what was chosen and not fitted, known exactly: the order of a line, the exponent of a
+    law; and without further lines of which there is nothing."""
+    own, effect = cause.parameters, find_effect(cause.effect)
+    first, *further = effect.strengths
+    places = {strength.removesuffix(first) for strength in further if strength.endswith(first)}
+    nothing = tuple(p for p in places if p and not _is_there(own.get(p + first)))
+    chosen = [p.name for p in effect.parameters if p.prior.above > -np.inf and p.name not in own]
+    settings = model.effects[cause.effect]._asdict() if cause.effect in model.effects else {}
+    shape = {name: _exactly(float(settings[name]), name) for name in chosen if name in settings}
+    told = {n: q for n, q in {**own, **shape}.items() if not n.startswith(nothing)}
+    return cause.model_copy(update={"parameters": told})
+
+
+def _is_there(size: Quantity | None) -> bool:
+    return size is not None and abs(size.value) > BESIDE_NOTHING * size.standard_error
+
+
+def _exactly(value: float, name: str) -> Quantity:
+    return Quantity(value=value, unit=unit_of(name), ci95=(value, value), standard_error=0.0)
 
 
 def _foretold(one: Named) -> float:

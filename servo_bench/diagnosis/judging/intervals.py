@@ -16,6 +16,7 @@ from servo_bench.diagnosis.searching.gate import WARMS
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found
 from servo_bench.diagnosis.searching.sizes import material_sizes
+from servo_bench.diagnosis.searching.unknowns import Unknown
 from sim_rig.effects import find_effect
 
 SPREAD, OWN_SHARE, KIND_SHARE = 2.0, 0.02, 0.35
@@ -48,13 +49,20 @@ def quantities(found: Found, scales: Scales) -> dict[str, Quantity]:
         slow = unknown.effect in WARMS and unknown.field == strength
         share = WARMING_SHARE if slow else OWN_SHARE
         error = float(np.linalg.norm([SPREAD * reached, share * own, KIND_SHARE * kind]))
+        least, most = _meaningful(unknown)
         numbers[unknown.name] = Quantity(
             value=float(value),
             unit=unit_of(unknown.field),
-            ci95=(float(value) - 1.96 * error, float(value) + 1.96 * error),
+            ci95=(max(float(value) - 1.96 * error, least), min(float(value) + 1.96 * error, most)),
             standard_error=error,
         )
     return numbers
+
+
+def _meaningful(unknown: Unknown) -> tuple[float, float]:
+    """Between which a number has a meaning: no friction is negative."""
+    prior = next(p.prior for p in find_effect(unknown.effect).parameters if p.name == unknown.field)
+    return max(prior.least, prior.above), prior.most
 
 
 def names_of(found: Found) -> list[str]:

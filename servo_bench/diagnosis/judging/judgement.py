@@ -61,8 +61,9 @@ def verdict_of(finding: Finding) -> Verdict:
     named = causes if kind == "named" else ()
     notes = [*finding.notes, *_absorbed(finding), *_coasting(finding.final.model)]
     if kind == "unknown" and told:
+        do = "does" if len(told) == 1 else "do"
         notes.append(
-            f"It resembles {', '.join(c.effect for c in told)}, which does not explain it."
+            f"It resembles {', '.join(c.effect for c in told)}, which {do} not explain it."
         )
     elif len(causes) < len(told):
         names = ", ".join(c.effect for c in told if c not in causes)

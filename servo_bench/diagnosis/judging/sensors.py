@@ -27,6 +27,7 @@ TIMED = {
     CURRENT: ("torque or current", "current_sampled"),
 }
 """What may be read at a time of its own; in words, and its role in a map."""
+ONE_SCALE = 0.15
 LONG_ROWS = 12
 """Of increments that a gap or a loop's answer hardly changes."""
 ALIKE, ANOTHER_SIZE = 0.9, 0.3
@@ -50,6 +51,13 @@ def misread(comparison: Comparison, nominal: Model, found: Model) -> Iterator[st
     if comparison.block != "loop":
         return
     scaled = dict(_scales(comparison, nominal))
+    if len(scaled) == len(ANGLES) and _are_one(tuple(scaled.values())):
+        scale = float(np.mean(tuple(scaled.values())))
+        yield (
+            f"Motor and load move {scale:.3g} times as far as the command asks of the rig, both: "
+            "look at the command's unit (1 rpm is 0.105 rad/s, 1 degree/s 0.0175) and its scale."
+        )
+        return
     for channel, scale in scaled.items():
         yield (
             f"The {ANGLES[channel]} moves {scale:.3g} times as far as the rig's would: look at its "
@@ -57,6 +65,11 @@ def misread(comparison: Comparison, nominal: Model, found: Model) -> Iterator[st
         )
     if not scaled:
         yield from _as_read(comparison, [coarser(model) for model in (nominal, found)])
+
+
+def _are_one(scales: Sequence[float]) -> bool:
+    """Whether all differ by what a gap and an error of the loop may make of one."""
+    return max(scales) - min(scales) < ONE_SCALE * float(np.abs(scales).max())
 
 
 def _scales(comparison: Comparison, model: Model) -> Iterator[tuple[str, float]]:

@@ -5,6 +5,7 @@ exist, recordings that do not go together are the operator's to mend, and raise 
 """
 
 from collections.abc import Collection, Iterator, Sequence
+from difflib import get_close_matches
 
 import numpy as np
 
@@ -33,9 +34,11 @@ def check_effects(*names: Collection[str]) -> None:
     without, only = (*names, (), ())[:2]
     unknown = sorted({name for group in names for name in group} - set(known))
     if unknown:
+        near = [name for one in unknown for name in get_close_matches(one, known, n=1)]
+        meant = f" {', '.join(near)} would be one." if near else ""
         raise ConfigError(
-            f"no effect is called {', '.join(unknown)}. The catalogue has {', '.join(known)}; "
-            "`servo-bench effects` explains each."
+            f"no effect is called {', '.join(unknown)}.{meant} The catalogue has "
+            f"{', '.join(known)}; `servo-bench effects` explains each."
         )
     if only and not set(only) - set(without):
         raise ConfigError(
@@ -94,9 +97,10 @@ def undecided(error: Exception, recordings: Sequence[Recording]) -> Verdict:
     """The verdict "unknown" of data that were read and cannot be judged, in the failure's words."""
     first = recordings[0]
     lacks = tuple(_lacking(first))
+    why = lacks[0] if lacks else _sentence(error)
     return Verdict(
         verdict="unknown",
-        sentence=f"Nothing can be decided from this recording: {_sentence(error)}",
+        sentence=f"Nothing can be decided from this recording: {why}",
         undecided=(*lacks, *open_questions(first)),
         next_run=RECOMMENDED if not lacks else f"Record what is missing. {RECOMMENDED}",
         notes=(f"The diagnosis ended before any fit: {_sentence(error)}",),
@@ -137,8 +141,8 @@ def open_questions(recording: Recording) -> Iterator[str]:
         yield from _of_the_command(np.asarray(recording[COMMAND], np.float64))
     if recording.period_s > SLOW_PERIOD_S:
         yield (
-            f"At a period of {recording.period_s * 1e3:g} ms delays and lags in the drive shorter "
-            "than a tenth of it look alike. Command and log at 1 kHz where the drive allows it."
+            f"At a period of {recording.period_s * 1e3:g} ms short delays and lags in the drive, "
+            "below some 0.2 ms, look alike. Command and log at 1 kHz where the drive allows it."
         )
 
 

@@ -6,6 +6,7 @@ it) and then among the rigs and experiments that ship with the bench, so that
 """
 
 import tomllib
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,6 +18,8 @@ from servo_bench.units import to_si
 
 SHIPPED = (Path(__file__).parent / "library", Path(sim_rig.__file__).parent)
 Model = TypeVar("Model", bound=BaseModel)
+EXTRA = "extra_forbidden"
+"""A validator's word for a key that nobody reads."""
 
 
 class Value(BaseModel):
@@ -69,14 +72,21 @@ def validated(model: type[Model], table: dict[str, Any], source: str) -> Model:
     try:
         return model.model_validate(table)
     except ValidationError as error:
+        items = error.errors(include_url=False)
+        missing = [_key(item["loc"], table) for item in items if item["type"] == "missing"]
         lines = [
             f"  {_key(item['loc'], table)}: {item['msg']}"
             + (f", got {item['input']!r}" if item["type"] != "missing" else "")
-            for item in error.errors(include_url=False)
+            + (_meant(_key(item["loc"], table), missing) if item["type"] == EXTRA else "")
+            for item in items
         ]
-        raise ConfigError(
-            f"{source} does not fit {model.__name__}, mend these keys:\n" + "\n".join(lines)
-        ) from error
+        raise ConfigError(f"{source}: mend these keys:\n" + "\n".join(lines)) from error
+
+
+def _meant(key: str, missing: list[str]) -> str:
+    """The missing key that one too many was probably meant to be, in words."""
+    near = get_close_matches(key, missing, n=1)
+    return f". Is {near[0]} meant?" if near else ""
 
 
 def _key(place: tuple[int | str, ...], table: Any) -> str:

@@ -139,6 +139,13 @@ def test_a_model_file_gives_the_same_model(tmp_path: Path) -> None:
     assert loaded.effects["coulomb"] == model.effects["coulomb"]
 
 
+def test_a_key_that_nobody_reads_is_guessed_among_those_that_are_missing(tmp_path: Path) -> None:
+    path = tmp_path / "model.toml"
+    path.write_text(model_text(MODEL).replace("inertia_kg_m2", "inertia"))
+    with pytest.raises(ConfigError, match=r"nominal\.inertia: .*Is nominal\.inertia_kg_m2 meant\?"):
+        load_model(path)
+
+
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A recording from elsewhere, with the loop's channels, and the model that is to be fitted."""

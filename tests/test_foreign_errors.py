@@ -28,7 +28,7 @@ RUNS = '[runs]\ncolumn = "n"\n'
 @pytest.mark.parametrize(
     ("plan", "says"),
     [
-        ("", r"Map, mend these keys:\s+channel: Field required"),
+        ("", r"map.toml: mend these keys:\s+channel: Field required"),
         ("channel = []", "channel: .*at least 1"),
         (PLAIN + "[file]\ncolour = 1", "file.colour: Extra inputs are not permitted"),
         ("= 3", "is not TOML"),

@@ -63,6 +63,8 @@ def test_the_best_has_the_best_worst_pair_and_hopeless_pairs_do_not_count() -> N
     assert (best.plan, best.worst, second.worst) == (other, 4.0, 2.0)
     assert best.minutes_to_split == pytest.approx(25.0 / 16.0)
     assert math.isinf(Separation(one, {}, ()).minutes_to_split)
+    assert best.split_in_a_minute == 0
+    assert Separation(one, {}, (hopeless, Pair("a", "b", 5.0))).split_in_a_minute == 1
 
 
 def test_limits_that_leave_no_room_are_told() -> None:

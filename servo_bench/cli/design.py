@@ -137,6 +137,13 @@ def _show(ranking: Sequence[Separation]) -> None:
     best = ranking[0]
     for pair in best.pairs[1 : 1 + MOST_PAIRS]:
         console.print(f"next: {pair.one}, {pair.other}: {pair.apart:.3g} σ/√min", highlight=False)
+    if len(best.pairs) > 1:
+        console.print(
+            f"[yellow]note:[/] the minutes are for the worst of {len(best.pairs)} confusable "
+            f"pairs, at the smallest size that is worth a name; {best.split_in_a_minute} of them "
+            "are told in one minute. Twice the size takes a quarter of the time.",
+            soft_wrap=True,
+        )
     if best.unseen:
         console.print(
             f"[yellow]note:[/] not shown at the smallest size worth a name: "

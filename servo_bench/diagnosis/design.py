@@ -79,6 +79,11 @@ class Separation:
         """How long until the worst pair is apart by five standard deviations; inf if never."""
         return (SURE / self.worst) ** 2 if self.worst > 0.0 else math.inf
 
+    @property
+    def split_in_a_minute(self) -> int:
+        """How many of the pairs are apart by five standard deviations after one."""
+        return sum(pair.apart >= SURE for pair in self.pairs)
+
 
 def ranked(found: Sequence[Separation]) -> tuple[Separation, ...]:
     """Best first, by their worst pair; pairs that none of them splits are left out of all."""

@@ -61,6 +61,13 @@ def test_a_bracket_that_creeps_is_told_with_what_it_gives(
     assert found.time_s == pytest.approx(time_s, rel=0.6)
 
 
+@pytest.mark.parametrize(("given", "told"), [(0.07, True), (-0.07, False)])
+def test_a_little_that_comes_back_is_a_faces_own_law(given: float, told: bool) -> None:
+    """Some 15 standard errors and 0.55 of the noise, either way."""
+    small = gives_way(run(71, BOUNCING), given, 0.5)
+    assert (creep(against(small), BOUNCING) is not None) is told
+
+
 @pytest.mark.parametrize("seed", [73, 74])
 @pytest.mark.parametrize(
     "rig",

@@ -178,7 +178,8 @@ def _rows(cause: Cause) -> Iterator[tuple[str, ...]]:
     first = (f"[bold]{cause.effect}[/]", f"{cause.confidence:.0%}", ", ".join(cause.ambiguous_with))
     for name, q in cause.parameters.items() or ():
         low, high = q.ci95
-        yield (first[0], name, f"{q.value:.4g}", f"{low:.4g} .. {high:.4g}", q.unit, *first[1:])
+        between = "chosen" if q.is_chosen else f"{low:.4g} .. {high:.4g}"
+        yield (first[0], name, f"{q.value:.4g}", between, q.unit, *first[1:])
         first = ("", "", "")
     if not cause.parameters:
         yield (first[0], "", "", "", "", *first[1:])

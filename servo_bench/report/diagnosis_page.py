@@ -230,7 +230,7 @@ def _cause_rows(cause: Cause) -> Iterator[CauseRow]:
             name=f"{_name(cause.effect)}: {_name(name)}",
             remark=remark if number == 0 else "",
             value=f"{q.value:.4g}{unit}",
-            interval=f"{low:.4g} … {high:.4g}",
+            interval="chosen" if q.is_chosen else f"{low:.4g} … {high:.4g}",
             confidence=sure if number == 0 else "",
             first=number == 0,
         )

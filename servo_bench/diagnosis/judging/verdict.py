@@ -20,7 +20,7 @@ Where = Literal["standstill", "position", "velocity", "edge", "drift", "current"
 
 
 class Quantity(Value):
-    """A fitted parameter."""
+    """A parameter, fitted or chosen."""
 
     value: float
     """The fitted value, in `unit`."""
@@ -29,7 +29,12 @@ class Quantity(Value):
     ci95: tuple[float, float]
     """Its 95 % interval, in `unit`."""
     standard_error: float = Field(ge=0.0)
-    """Its standard error, in `unit`."""
+    """Its standard error, in `unit`; 0 where it was chosen or assumed, and not fitted."""
+
+    @property
+    def is_chosen(self) -> bool:
+        """Whether no fit has freed it: the order of a line, the exponent of a law."""
+        return self.standard_error == 0.0
 
 
 class Cause(Value):

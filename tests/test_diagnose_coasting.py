@@ -1,5 +1,7 @@
 """A light load that goes on in its gap: not to be taken for something unknown, nor for a cause."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -46,6 +48,18 @@ def test_a_load_that_coasts_is_found_to_do_so() -> None:
     assert coasting_or_rested(seen, found, better) is better, "the twist is right in it"
     worse = better._replace(errors=found.errors)
     assert coasting_or_rested(seen, worse, found) is found
+
+
+def test_a_load_that_coasts_is_found_to_do_so_by_its_own_encoder_alone() -> None:
+    """Else what it does in its gap is called friction of the load."""
+    run = recorded(coasting(MODEL, SLOWED_RAD_S2), 31, slots=1500)
+    hidden = ("motor_position_rad", "motor_torque_nm")
+    alone = replace(run, channels={n: v for n, v in run.channels.items() if n not in hidden})
+    seen = evidence_of([alone], MODEL, block="loop")
+    found = seek(seen, MODEL, nuisances(0.05, NOMINAL.backlash_gap_rad), iterations=3)
+    better = with_coasting(seen, found)
+    assert is_coasting(better.model)
+    assert slowing_rad_s2(better.model) == pytest.approx(SLOWED_RAD_S2, rel=0.3)
 
 
 @pytest.mark.parametrize("hidden", [MODEL, MODEL.with_effect("inertia_error", error_fraction=0.2)])

@@ -166,13 +166,14 @@ def _own(model: Model) -> tuple[Unknown, ...]:
 
 
 def _only_the_twist(whole: Evidence, final: Found, least: float) -> bool:
-    """Whether the twist misses so much, and nothing before the gap much more than it may."""
+    """Whether the twist misses so much, and nothing before the gap much more than it may; of the
+    load's encoder alone, whether that misses as much as is asked."""
     missed = misfit(whole, final.errors)
     twist, load = (
         np.array([name.startswith(angle) for name in whole.names]) for angle in ("twist", "load")
     )
-    if not twist.any():
-        return False
+    if not twist.any():  # nothing tells what is before the gap from what is behind it
+        return bool(load.any() and missed[load].max() > ASKED)
     before = missed[~(twist | load)].max(initial=0.0)
     asked = least if before < RIGHT else ASKED
     return bool(missed[twist].max() > asked and missed[~twist].max(initial=0.0) < NEARLY)

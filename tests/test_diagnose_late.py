@@ -82,6 +82,7 @@ def test_where_nothing_coasts_nothing_is_asked() -> None:
     assert again(SOFT, 64) is None
 
 
+@pytest.mark.long
 def test_a_dead_time_shows_beside_a_load_that_coasts_and_a_line_too_small_for_a_name() -> None:
     """The line comes first, and is part of the base from then on."""
     rippled = MODEL.with_effect("cogging", torque_nm=2.4e-4, order=24.0)

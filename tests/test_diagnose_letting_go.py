@@ -30,6 +30,7 @@ RUBS = {"torque_nm": 0.012}
         (("coulomb",), ("coulomb",)),
     ],
 )
+@pytest.mark.long
 def test_a_neighbour_of_what_is_not_asked_has_no_name(
     only: tuple[str, ...], named: tuple[str, ...]
 ) -> None:

@@ -35,6 +35,7 @@ def test_friction_and_mass_of_a_load_that_comes_to_rest_in_its_gap_are_found() -
     assert effects["contact"].load_inertia_kg_m2 == pytest.approx(MASS_KG_M2, rel=0.05)
 
 
+@pytest.mark.long
 def test_a_weight_that_moves_a_light_load_is_found_beside_its_friction() -> None:
     weight = {"torque_nm": 2.5e-3, "phase_rad": 1.9}
     hidden = light_load(FRICTION_NM).with_effect("gravity_imbalance", **weight)

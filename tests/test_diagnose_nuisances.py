@@ -41,6 +41,7 @@ def test_a_gain_is_a_cause_beyond_that_alone(factor: float) -> None:
     assert material_sizes(scales)[GAIN] >= 0.0125
 
 
+@pytest.mark.long
 def test_a_drive_that_sums_once_a_period_has_a_larger_gain() -> None:
     """Backward Euler of period T: K_P + K_I T/2. Of another hand's drive, which has 125 us."""
     nominal = Nominal(**asdict(STIFF))

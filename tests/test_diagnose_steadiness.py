@@ -36,6 +36,7 @@ def test_what_warms_goes_along_the_line_that_is_nearest_to_it() -> None:
     assert slope.last == pytest.approx(first + fall * t_s[-1], abs=0.1 * DROP)
 
 
+@pytest.mark.long
 def test_a_cause_that_changes_has_no_name_and_the_verdict_says_how_it_changed() -> None:
     warm = MODEL.with_effect("thermal_torque_constant", drop_fraction=DROP, warming_s=WARMING_S)
     finding = find_causes([recorded(warm, 31, slots=SLOTS)], MODEL, only=("torque_constant_error",))

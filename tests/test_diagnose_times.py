@@ -63,6 +63,7 @@ def test_stamps_that_stray_from_the_motion_are_not_believed() -> None:
     assert verdict.error.after < 2.0 * verdict.error.noise_floor
 
 
+@pytest.mark.long
 def test_stamps_that_the_motion_follows_are_believed() -> None:
     """The rows really came unevenly, and every command with its row."""
     uneven = np.cumsum(np.random.default_rng(33).uniform(0.9, 1.1, SLOTS)) * PERIOD_S

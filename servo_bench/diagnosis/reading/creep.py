@@ -41,8 +41,8 @@ LEAST = 0.3
 FURTHER, FURTHER_LEAST = 13.0, 0.5
 """The same two of what gives way as a face does and then further: rest of a face's own law mostly
 comes back. On 50 recordings without creep, 16 of them of a third plant, it was 11 at most that way
-beside the plain fit, of a third of the noise; of creep of 0.6 and 0.7 of the noise 13.6 and 17, where a
-coupling that was absorbed had a part of the first."""
+beside the plain fit, of a third of the noise; of creep of 0.6 and 0.7 of the noise 13.6 and 17,
+where a coupling that was absorbed had a part of the first."""
 
 
 class Creep(NamedTuple):

@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
+from servo_bench.diagnosis.searching.classes import class_of
 from servo_bench.diagnosis.searching.coasting import (
     coasting,
     coasting_or_rested,
@@ -60,6 +61,20 @@ def test_a_load_that_coasts_is_found_to_do_so_by_its_own_encoder_alone() -> None
     better = with_coasting(seen, found)
     assert is_coasting(better.model)
     assert slowing_rad_s2(better.model) == pytest.approx(SLOWED_RAD_S2, rel=0.3)
+
+
+@pytest.mark.long
+def test_what_coasts_takes_no_cause_from_a_torque_constant_by_the_loads_encoder_alone() -> None:
+    """Friction of the load, with a mass that is fitted to it, takes most of what the gap does."""
+    rig = MODEL.with_effect("torque_constant_error", error_fraction=0.04)
+    run = recorded(
+        coasting(rig, SLOWED_RAD_S2, face_s=3e-5), 35, slots=2600, channels=("load_angle_rad",)
+    )
+    found = find_causes([run], MODEL)
+    assert found.rounds[0].contenders[0].effect == "load_friction"
+    assert {n.effect for n in found.named} <= class_of("torque_constant_error")
+    assert found.named
+    assert is_coasting(found.final.model)
 
 
 @pytest.mark.parametrize("hidden", [MODEL, MODEL.with_effect("inertia_error", error_fraction=0.2)])

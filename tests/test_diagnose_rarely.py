@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from servo_bench.diagnosis.comparing.evidence import quick_evidence
 from servo_bench.diagnosis.judging.judgement import verdict_of
+from servo_bench.diagnosis.searching.coasting import coasting
 from servo_bench.diagnosis.searching.finding import find_causes
 from servo_bench.diagnosis.searching.rarely import acts_again
 from sim_rig.model import Model
@@ -51,6 +52,18 @@ def test_a_clamp_that_no_validation_asks_for_is_named(seed: int) -> None:
     assert verdict.names == ("integrator_clamp",)
     found = verdict.causes[0].parameters["clamp_per_a"]
     assert found.value == pytest.approx(1.0 / clamp_a, rel=0.03)
+
+
+@pytest.mark.long
+def test_so_is_one_that_a_load_which_coasts_shows_alone() -> None:
+    """What the load does in its gap is more of the cost than a clamp that acts rarely."""
+    played = commands(64)
+    clamp_a = 1.1 * integral_a(MODEL, played)[-VALIDATION:].max()
+    rig = MODEL.with_effect("integrator_clamp", clamp_per_a=1.0 / clamp_a)
+    seen = recorded(
+        coasting(rig, 760.0, face_s=3e-5), 64, played=played, channels=("load_angle_rad",)
+    )
+    assert verdict_of(find_causes([seen], MODEL)).names == ("integrator_clamp",)
 
 
 def test_what_comes_after_the_beginning_is_neither_fitted_nor_held_out() -> None:

@@ -102,6 +102,11 @@ class Evidence:
         """The signals' names, in order."""
         return tuple(s.name for s in self.fitted[0].signals)
 
+    @property
+    def is_of_the_load_alone(self) -> bool:
+        """Whether nothing but the load's encoder tells of the motor."""
+        return all(name.startswith("load") for name in self.names)
+
 
 class Errors:
     """One model's errors over several recordings."""

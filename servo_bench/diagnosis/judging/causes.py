@@ -105,7 +105,7 @@ def cause_of(
     rival = next(iter(rivals_of(one, there)), None)
     over = block_z(one.contender.costs, rival.costs) if rival is not None else None
     evidence = block_z(one.contender.costs, one.round.base_costs)
-    ambiguous = tuple(sorted(members | (near - there)))
+    ambiguous = tuple(sorted(members | (near - there) | one.as_well))
     return Cause(
         effect=one.effect,
         parameters=_of_effect(one.effect, numbers),

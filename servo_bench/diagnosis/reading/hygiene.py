@@ -1,20 +1,14 @@
-"""What is wrong with a recording before any model is blamed: lost commands, coarse angles, holes.
+"""What is wrong with a recording's angles before any model is blamed: wild samples, coarse ones.
 
-A command that the drive never got (the one before was held) leaves the response to one chip,
-
-    e(t) = -(c_k - c_{k-1}) h(t - t_k),      h: response of the angle's increments to a chip of one,
-
-and is found chip by chip with a matched filter on the base's error: whole chips, and few others. A
-coarse angle lies on a lattice of its quantum, whatever moves. Both are exact statements about data;
-neither is a fit.
+A coarse angle lies on a lattice of its quantum, whatever moves: a statement about data, and no fit.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.ndimage import maximum_filter1d, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
 
 from servo_bench.diagnosis.comparing.comparison import Comparison, Signal
 from servo_bench.diagnosis.comparing.rounding import ROUNDED, rounding_of
@@ -22,20 +16,10 @@ from servo_bench.diagnosis.comparing.rows import Array, Mask
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 
-RESPONSE_ROWS = 12
-SURE = 0.2
-"""How far from a whole chip the estimate of a lost one may be."""
 WILD = 12.0
 """Robust deviations, beyond one and a half gaps, of samples that are wrong alone."""
 BURST_S = 0.032
 """How long they are: interference spoils a few words in a row."""
-LEFT = 0.1
-"""Of the error's energy over the response, after the lost chip is taken out."""
-CLEAR = 8.0
-"""A lost chip's response over its own scatter."""
-MOST = 0.5
-"""Of the chips that stand in the error, the share that is whole ones where commands were lost. What
-limits or delays a reversal leaves chips of every size, and some are whole by chance."""
 FINEST_QUANTUM_RAD, COARSEST_QUANTUM_RAD = 1.5e-4, 3e-3
 FEWEST_ROWS = 200
 FARTHEST_RAD = 250.0
@@ -52,90 +36,6 @@ noise leaves of a true one."""
 OVER_NEIGHBOURS, BESIDE = 2.0, np.arange(2, 60)
 """What the simulated angle has of any lattice, over its rms at these neighbours: where it stands
 still, it stands on many."""
-
-
-@dataclass(frozen=True, slots=True)
-class LostCommands:
-    """Rows whose command was never heard, and how many rows commanded a change."""
-
-    rows: tuple[int, ...]
-    changes: int
-
-    @property
-    def probability(self) -> float:
-        """Per telegram."""
-        return len(self.rows) / max(self.changes, 1)
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """95 % of a Poisson count."""
-        count, spread = len(self.rows), 1.96 * np.sqrt(len(self.rows) + 1.0)
-        return max(count - spread, 0.0) / max(self.changes, 1), (count + 1 + spread) / max(
-            self.changes, 1
-        )
-
-
-def lost_commands(comparison: Comparison, model: Model) -> LostCommands:
-    """Which commands were lost, by the motor's (or load's) increments; only of the closed loop."""
-    rows, piece = comparison.source.rows, comparison.pieces[0].piece
-    commands = (
-        rows.channel("velocity_command_rad_s")[piece.rows] if comparison.block == "loop" else None
-    )
-    if commands is None or len(comparison.pieces) > 1:
-        return LostCommands((), 0)
-    quick = [k for k, s in enumerate(comparison.signals) if s.increments and s.stride == 1]
-    best = next(
-        (k for k in quick if comparison.signals[k].channel == "motor_position_rad"), quick[0]
-    )
-    error = comparison.errors(model)[best]
-    known = np.isfinite(error) & np.isfinite(comparison.measured[best])
-    error = np.where(known, error, 0.0)
-    response = _pulse(model, rows.period_s)
-    jumps = np.diff(commands, prepend=commands[0])
-    change = np.abs(jumps) > 1e-6 * max(float(np.abs(commands).max(initial=0.0)), 1e-12)
-    sigma = max(1.4826 * float(np.median(np.abs(error[known]))), comparison.signals[best].floor)
-    matched = np.correlate(np.append(error, np.zeros(response.size - 1)), response, "valid")
-    energy = float(response @ response)
-    amount = matched[: jumps.size] / energy
-    usable = np.flatnonzero(change[: amount.size])
-    share = -amount[usable] / jumps[usable]
-    clear = np.abs(jumps[usable]) * np.sqrt(energy) > CLEAR * sigma
-    lost = usable[(np.abs(share - 1.0) < SURE) & clear]
-    lost = np.array([k for k in lost if _alone(error, response, -jumps[k], int(k))], np.intp)
-    if lost.size <= MOST * _events(amount * np.sqrt(energy), CLEAR * sigma):
-        lost = lost[:0]
-    return LostCommands(tuple(int(piece.first + k) for k in lost), int(change.sum()))
-
-
-def _events(matched: Array, least: float) -> int:
-    """How often the error looks most like a chip, of whatever size, within a response's length."""
-    size = np.abs(matched)
-    return int(np.sum((size > least) & (size == maximum_filter1d(size, RESPONSE_ROWS + 1))))
-
-
-def _alone(error: Array, response: Array, chip: float, k: int) -> bool:
-    """Whether the lost chip is what is wrong there: without it little of the error is left."""
-    there = error[k : k + response.size]
-    left = there - chip * response[: there.size]
-    return float(left @ left) < LEFT * float(there @ there)
-
-
-def _pulse(model: Model, period_s: float) -> Array:
-    """Increments of the motor's angle after a chip of 1 rad/s, over the period; shape (rows,)."""
-    command = np.zeros(RESPONSE_ROWS + 1)
-    command[0] = 1.0
-    done = model.without("coulomb", "stribeck").simulate(command, period_s)
-    return np.diff(done.motor_angle_rad) / period_s
-
-
-def heard(recording: Recording, lost: LostCommands) -> Recording:
-    """The recording with the commands that the drive heard."""
-    if not lost.rows:
-        return recording
-    commands = np.array(recording["velocity_command_rad_s"], np.float64)
-    for row in lost.rows:
-        commands[row] = commands[row - 1]
-    return replace(recording, channels={**recording.channels, "velocity_command_rad_s": commands})
 
 
 def wild_samples(comparison: Comparison, model: Model, gap_rad: float) -> int:

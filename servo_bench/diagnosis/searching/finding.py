@@ -35,7 +35,8 @@ from servo_bench.diagnosis.comparing.ticks import ticks
 from servo_bench.diagnosis.comparing.unevenness import unevenness
 from servo_bench.diagnosis.reading.creep import Creep, creep
 from servo_bench.diagnosis.reading.crossing import crossing_s
-from servo_bench.diagnosis.reading.hygiene import Lattice, LostCommands, lattice, wild_samples
+from servo_bench.diagnosis.reading.hygiene import Lattice, lattice, wild_samples
+from servo_bench.diagnosis.reading.lost import LostCommands
 from servo_bench.diagnosis.reading.orders import USUAL, OrderLine, Tone, tone
 from servo_bench.diagnosis.reading.reading import Reading
 from servo_bench.diagnosis.reading.subdivision import load_lines
@@ -187,9 +188,9 @@ def find_causes(
     plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
     before = misfit(whole, plain.errors)
     late = Late(quick, whole, candidates, scales, band, report)
-    noted = any(is_noted(n.effect, before) and worth_a_name(n, final, scales) for n in named)
+    noted = [n for n in named if is_noted(n.effect, before) and worth_a_name(n, final, scales)]
     longer = longer_look(recordings, plain.model, block)
-    joint = None if noted else asked_again(late, longer, plain, final, rounds.append)
+    joint = _beside_coasting(late, longer, (plain, final), noted, rounds)
     if joint is not None:
         (final, named), absorbed = joint, []
     if not named:  # a line of its error may repeat with the shaft by chance
@@ -235,6 +236,25 @@ def find_causes(
         notes=(*ready.notes, *_of_the_rows(came, rows)),
         seconds=time.perf_counter() - began,
     )
+
+
+def _beside_coasting(
+    late: Late,
+    longer: Evidence,
+    ends: tuple[Found, Found],
+    noted: Sequence[Named],
+    rounds: list[Round],
+) -> tuple[Found, list[Named]] | None:
+    """What is there beside a load that coasts, where nothing was found without that; or where what
+    was found gives the load a motion of its own and fits worse, which its encoder alone does not
+    tell from the motor's."""
+    plain, final = ends
+    moves = late.whole.is_of_the_load_alone and any(n.effect in OTHERWISE for n in noted)
+    if noted and not moves:
+        return None
+    joint = asked_again(late, longer, plain, final, rounds.append)
+    worse = joint is not None and final.errors.cost(plain.sigma) < joint[0].errors.cost(plain.sigma)
+    return None if moves and worse else joint
 
 
 def _coasting_or_not(late: Late, final: Found, plain: Found) -> Found:

@@ -48,7 +48,7 @@ class Named:
 
     `missed_z`, for what had no round of its own but carried another: by how much, in block scatter,
     the joint fit is better than one without it. `beside`, where the round's base has a rival, which
-    effect that is (`unlike`).
+    effect that is (`unlike`). `as_well`: what takes its place and explains as much (`as_a_torque`).
     """
 
     effect: str
@@ -57,6 +57,7 @@ class Named:
     unknowns: tuple[Unknown, ...]
     missed_z: float | None = None
     beside: str = ""
+    as_well: frozenset[str] = frozenset()
 
 
 def fit_jointly(

@@ -19,10 +19,11 @@ from servo_bench.diagnosis.comparing.evidence import Evidence
 from servo_bench.diagnosis.searching.accepting import with_a_name
 from servo_bench.diagnosis.searching.classes import class_of
 from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting, with_coasting
-from servo_bench.diagnosis.searching.contenders import REFINES, Contender, Round
+from servo_bench.diagnosis.searching.contenders import REFINES, Contender, Round, faced
 from servo_bench.diagnosis.searching.gap import play_gap
 from servo_bench.diagnosis.searching.gate import (
     LINES,
+    MUCH,
     RIGHT_ALREADY,
     is_sure,
     misfit,
@@ -34,6 +35,7 @@ from servo_bench.diagnosis.searching.gate import (
 from servo_bench.diagnosis.searching.hypotheses import SPRINGS, Hypothesis
 from servo_bench.diagnosis.searching.joint import Named, fit_jointly, is_worth_it, own_unknowns
 from servo_bench.diagnosis.searching.letting_go import AT_ITS_END
+from servo_bench.diagnosis.searching.rarely import acts_again
 from servo_bench.diagnosis.searching.rounds import Told, play_round
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek
@@ -103,7 +105,8 @@ def asked_again(
         found = next((c for c in no_plainer(played) if able(c)), None)
         found = with_a_name(found, played, late.scales, able)
         if found is None:
-            return None
+            rare = _acts_again(late, played)
+            return None if rare is None else _jointly(late, plain, rare)
         named = Named(found.effect, played, found, own_unknowns(found, found.effect))
         if is_worth_it(named, found.found, late.scales):
             return _jointly(late, plain, named)
@@ -112,6 +115,23 @@ def asked_again(
         springs = SPRINGS & {c.effect for c in played.contenders}  # three free numbers: asked once
         asked = [h for h in asked if h.effect in hopeful - class_of(found.effect) - springs]
     return None
+
+
+def _acts_again(late: Late, played: Round) -> Named | None:
+    """A round's best one, where it took much of what was seen and acts rarely, fitted on as little
+    as leaves some of the identification to judge it."""
+    quick = late.quick
+    first = next((c for c in played.contenders if c.seen_gain > MUCH), None)
+    if first is None:
+        return None
+    found = seek(quick, first.found.model, first.found.unknowns, iterations=2, first=1)
+    base = seek(quick, played.base.model, played.base.unknowns, iterations=2, first=1)
+    again = faced(quick, base, [(found, first.hypothesis)], played.screened)
+    acts = acts_again(quick, again)
+    if acts is None:
+        return None
+    named = Named(acts.effect, again, acts, own_unknowns(acts, acts.effect))
+    return named if is_worth_it(named, acts.found, late.scales) else None
 
 
 def _with_small_lines(late: Late, plain: Found, final: Found) -> Found:

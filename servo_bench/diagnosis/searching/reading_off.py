@@ -5,6 +5,7 @@ bounce spoils; it is read off the others (`reading.revolution`, `reading.subdivi
 """
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from servo_bench.diagnosis.comparing.evidence import Evidence
 from servo_bench.diagnosis.reading.reading import Reading
 from servo_bench.diagnosis.reading.revolution import ECCENTRIC, EFFECTS, not_at_rest, turn_waves
 from servo_bench.diagnosis.reading.subdivision import EFFECT, subdivision
+from servo_bench.diagnosis.searching.as_a_torque import TORQUE, AsATorque, as_a_torque
 from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting
 from servo_bench.diagnosis.searching.joint import Named, without_effect
 from servo_bench.diagnosis.searching.late import Late
@@ -40,14 +42,18 @@ def with_readings(
     """
     readings, seen = list[Reading](), whole.fitted[0]
     final, named = _without_false_waves(whole, final, named, late.band)
+    final, named = _as_torques(final, named, late)
     if not OTHERWISE & final.model.effects.keys() or is_coasting(final.model):
         waves = (wave.reading() for wave in turn_waves(seen, final.model))
         readings += [r for r in waves if _is_new(r, final, out) and _is_large(r, late.scales)]
     final = _put(whole, final, readings)
     scale = subdivision(seen, final.model.without(EFFECT)) if EFFECT not in out else None
     if scale is not None:
-        readings.append(scale.reading())
-        final = _put(whole, final, readings[-1:])
+        wave = _put(whole, final, [scale.reading()])
+        torque = as_a_torque(whole, wave, EFFECT)
+        readings += [scale.reading()] if torque is None else []
+        if torque is None or _is_small(torque, late.scales):
+            final = wave if torque is None else torque.found
     read = {one.effect for one in readings}
     return final, [n for n in named if n.effect not in read], tuple(readings)
 
@@ -78,6 +84,25 @@ def _without_false_waves(
     for effect in sorted(false):
         final = without_effect(whole, final, effect, band)
     return final, [n for n in named if n.effect not in false]
+
+
+def _as_torques(final: Found, named: Sequence[Named], late: Late) -> tuple[Found, list[Named]]:
+    """The final fit and its causes, less the waves that a torque makes as well which is too small
+    for a name. A larger one is told beside the wave."""
+    kept = list[Named]()
+    for one in named:
+        torque = as_a_torque(late.whole, final, one.effect) if one.effect in READ_OFF else None
+        if torque is None:
+            kept.append(one)
+        elif _is_small(torque, late.scales):
+            final = torque.found
+        else:
+            kept.append(replace(one, as_well=frozenset({TORQUE})))
+    return final, kept
+
+
+def _is_small(torque: AsATorque, scales: Scales) -> bool:
+    return torque.size_nm < material_sizes(scales)[TORQUE]
 
 
 def _is_new(reading: Reading, final: Found, out: Collection[str]) -> bool:

@@ -13,7 +13,12 @@ import numpy as np
 from servo_bench.diagnosis.comparing.comparison import Choice, compare
 from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of, quick_evidence
 from servo_bench.diagnosis.comparing.rows import Rows
-from servo_bench.diagnosis.reading.hygiene import LostCommands, heard, lost_commands
+from servo_bench.diagnosis.reading.lost import (
+    LostCommands,
+    heard,
+    lost_by_playing,
+    lost_commands,
+)
 from servo_bench.diagnosis.reading.orders import MotorLines, Wave, motor_lines, torque_waves
 from servo_bench.diagnosis.reading.times import filled, jitter_s, on_even_times, with_rows_in_holes
 from servo_bench.diagnosis.searching.hypotheses import cogging_of
@@ -232,10 +237,17 @@ def _lost(
     """What was lost in all recordings; rows are counted through them."""
     rows, changes, offset = list[int](), 0, 0
     for recording in recordings if "missed_samples" not in without else ():
-        found = lost_commands(compare(recording, known, block), known)
+        found = _lost_of(recording, known, block)
         rows += [offset + row for row in found.rows]
         changes, offset = changes + found.changes, offset + len(recording)
     return LostCommands(tuple(rows), changes)
+
+
+def _lost_of(recording: Recording, model: Model, block: Choice) -> LostCommands:
+    comparison = compare(recording, model, block)
+    if all(signal.channel == "load_angle_rad" for signal in comparison.signals):
+        return lost_by_playing(recording, model, block)
+    return lost_commands(comparison, model)
 
 
 def _put_right(
@@ -245,10 +257,10 @@ def _put_right(
     every = [*recordings, *([held_out] if held_out is not None else [])]
     right, rows, changes = [], [], 0
     for number, recording in enumerate(every):
-        found = lost_commands(compare(recording, model, block), model)
-        again = heard(recording, found)
-        more = lost_commands(compare(again, model, block), model)
-        right.append(heard(again, more))
+        found = _lost_of(recording, model, block)
+        again = heard(recording, found.rows)
+        more = _lost_of(again, model, block)
+        right.append(heard(again, more.rows))
         if number < len(recordings):
             rows += [*found.rows, *more.rows]
             changes += found.changes

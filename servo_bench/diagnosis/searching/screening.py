@@ -63,11 +63,11 @@ def screen(
                 continue
     played = iter(evidence.seen(models))
     found: dict[str, Screened] = {}
-    solvers: dict[str, _Beside] = {}
+    solvers: dict[str, Beside] = {}
     steep: dict[str, list[Trial]] = {}
     for hypothesis, pair in usable:
         if hypothesis.effect not in solvers:
-            solvers[hypothesis.effect] = _Beside(base, hypothesis.effect)
+            solvers[hypothesis.effect] = Beside(base, hypothesis.effect)
         errors = [next(played) for _ in pair]
         gain, amounts = solvers[hypothesis.effect].gain(errors)
         one = pair[0]
@@ -133,7 +133,7 @@ def _at_phase(trial: Trial, amounts: Array) -> Trial:
     return replace(scaled, settings=settings)
 
 
-class _Beside:
+class Beside:
     """The base's error with its nuisances ready to be solved along.
 
     One that stands at its bound only comes back from there, through its band; the others move

@@ -1,7 +1,8 @@
 """What stands in a recording itself, before any cause is tried.
 
 times         an even clock under stamps that stray, and commands for rows that are missing
-hygiene       commands that were lost, wild samples, a coarse encoder's lattice
+lost          commands that were lost
+hygiene       wild samples, a coarse encoder's lattice
 crossing      when samples begin to see the next command
 orders        what repeats with the motor's shaft, and tones from outside
 subdivision   what repeats with the lines of the load encoder's disc

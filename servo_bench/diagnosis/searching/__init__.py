@@ -10,4 +10,5 @@ readying, accepting, finding    what is known before the first round; who is acc
                                 stages in order
 joint, runoff, late, gap        all causes together, and what only all of a recording tells
 coasting, bounces               a light load that goes on in its gap, and its faces
+reading_off, as_a_torque        what the load's encoder says wrong by itself, and what would say so
 """

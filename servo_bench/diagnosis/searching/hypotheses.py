@@ -59,7 +59,7 @@ SPRINGS = STEEP - {"clock_skew"}
 CROSSING_DELAYS_S = (2e-5, 5e-5, 1e-4)
 """Of a usual rig's command, that a clock which falls behind takes away (see `crossing`)."""
 DETECTED = frozenset({"missed_samples", "quantisation"})
-"""Found by looking for them in the data (`hygiene`), not by trying sizes."""
+"""Found by looking for them in the data (`lost`, `hygiene`), not by trying sizes."""
 
 
 SOME = 0.1

@@ -333,8 +333,16 @@ def test_who_is_a_rival_of_a_cause(
     played = SimpleNamespace(
         contenders=fitted, near=lambda _: (), base_costs=costs + 90.0, screened=()
     )
-    one: Any = SimpleNamespace(effect="stribeck", missed_z=None, round=played, contender=fitted[0])
-    assert cause_of(one, {}, there).rival == rival
+    one: Any = SimpleNamespace(
+        effect="stribeck",
+        missed_z=None,
+        round=played,
+        contender=fitted[0],
+        as_well=frozenset({"cogging"}),
+    )
+    told = cause_of(one, {}, there)
+    assert told.rival == rival
+    assert told.ambiguous_with == ("cogging",)
 
 
 @pytest.mark.parametrize(("seen", "held", "worth"), [(0.02, 0.12, False), (0.06, 0.12, True)])

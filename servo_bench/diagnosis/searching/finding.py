@@ -253,8 +253,11 @@ def _beside_coasting(
     if noted and not moves:
         return None
     joint = asked_again(late, longer, plain, final, rounds.append)
-    worse = joint is not None and final.errors.cost(plain.sigma) < joint[0].errors.cost(plain.sigma)
-    return None if moves and worse else joint
+    if not moves:
+        return joint
+    coasts, named = joint or (with_coasting(late.whole, plain, scouted=late.quick), [])
+    better = coasts.errors.cost(plain.sigma) < final.errors.cost(plain.sigma)
+    return (coasts, named) if better and is_coasting(coasts.model) else None
 
 
 def _coasting_or_not(late: Late, final: Found, plain: Found) -> Found:

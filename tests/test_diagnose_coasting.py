@@ -1,12 +1,15 @@
 """A light load that goes on in its gap: not to be taken for something unknown, nor for a cause."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
+from servo_bench.diagnosis.searching import finding
 from servo_bench.diagnosis.searching.classes import class_of
 from servo_bench.diagnosis.searching.coasting import (
     coasting,
@@ -123,3 +126,37 @@ def test_what_a_face_gives_back_of_a_blow(face_s: float) -> None:
     done = solve_ivp(motion, (0.0, 0.1), (0.0, 1.0), "Radau", events=force, rtol=1e-8, atol=1e-12)
     _, leaves = done.y_events[0][0]
     assert given_back(model) == pytest.approx(-leaves, abs=1e-4)
+
+
+class Costs(NamedTuple):
+    """Errors that cost so much."""
+
+    total: float
+
+    def cost(self, _: Any) -> float:
+        return self.total
+
+
+def ended(model: Model, cost: float) -> Any:
+    return SimpleNamespace(model=model, errors=Costs(cost), sigma=None)
+
+
+@pytest.mark.parametrize(
+    ("alone", "named", "coasts_at", "told"),
+    [
+        (True, "load_friction", 90.0, True),  # nothing but a load that coasts
+        (True, "load_friction", 110.0, False),
+        (True, "cogging", 90.0, False),  # which gives the load no motion of its own
+        (False, "load_friction", 90.0, False),  # the motor tells of it
+    ],
+)
+def test_friction_of_the_load_fits_better_than_one_that_coasts(
+    monkeypatch: pytest.MonkeyPatch, alone: bool, named: str, coasts_at: float, told: bool
+) -> None:
+    coasts, final = ended(coasting(MODEL, SLOWED_RAD_S2), coasts_at), ended(MODEL, 100.0)
+    monkeypatch.setattr(finding, "asked_again", lambda *_: None)
+    monkeypatch.setattr(finding, "with_coasting", lambda *_, **__: coasts)
+    late: Any = SimpleNamespace(whole=SimpleNamespace(is_of_the_load_alone=alone), quick=None)
+    noted: Any = [SimpleNamespace(effect=named)]
+    joint = finding._beside_coasting(late, late.whole, (final, final), noted, [])
+    assert joint == ((coasts, []) if told else None)

@@ -12,7 +12,7 @@ simulation's, and what is left of a chip is no whole one. Each that comes near i
 recording played: one that was lost makes the error smaller wherever the load has been since.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -37,9 +37,10 @@ MOST = 0.5
 """Of the chips that stand in the error, the share that is whole ones where commands were lost. What
 limits or delays a reversal leaves chips of every size, and some are whole by chance. Where chips
 are played, those count that stand as high as half of a lost one."""
-TRIES, MOST_LOST, WORTH, CAPPED = 3, 0.02, 25.0, 6.0
-"""Chips that are played at a time; the share of them that may be lost in all; what one takes of the
-error's squares at least, in variances; and the deviations beyond which a row counts no more."""
+TRIES, APART_ROWS, MOST_LOST, WORTH, CAPPED = 8, 48, 0.02, 25.0, 6.0
+"""Chips that are played at a time, and how far apart they are put right together; the share of them
+that may be lost in all; what one takes of the error's squares at least, in variances; and the
+deviations beyond which a row counts no more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,23 +81,48 @@ def lost_by_playing(recording: Recording, model: Model, block: Choice = "auto") 
     chips = _chips_of(compare(recording, model, block), model)
     if chips is None:
         return LostCommands((), 0)
+    playing = _Playing(recording, model, block, chips.sigma)
     changes, lost, heights = chips.rows.size, list[int](), list[float]()
     while len(lost) < MOST_LOST * changes:
-        played = {
-            k: compare(heard(recording, [*lost, k]), model, block) for k in chips.blurred(lost)
-        }
-        tried = {k: _chips_of(one, model, chips.sigma) for k, one in played.items()}
-        able = {k: then for k, then in tried.items() if then and chips.cost - then.cost > WORTH}
-        if not able:
+        found, then = _better(playing, chips, lost)
+        if then is None:
             break
-        k, then = min(able.items(), key=lambda one: one[1].cost)
-        lost.append(k)
-        heights.append(float(chips.height[chips.rows == k - chips.first][0]))
+        lost += found
+        heights += [chips.height_of(k) for k in found]
         chips = then
     others = chips.standing(0.5 * float(np.median(heights))).size if lost else 0
     if len(lost) <= MOST * (len(lost) + others):
         lost = []
     return LostCommands(tuple(sorted(lost)), changes)
+
+
+class _Playing(NamedTuple):
+    recording: Recording
+    model: Model
+    block: Choice
+    sigma: float
+
+    def without(self, lost: Iterable[int]) -> "_Chips | None":
+        """What is left in the error where these commands were lost."""
+        again = compare(heard(self.recording, lost), self.model, self.block)
+        return _chips_of(again, self.model, self.sigma)
+
+
+def _better(
+    playing: _Playing, chips: "_Chips", lost: Sequence[int]
+) -> tuple[Sequence[int], "_Chips | None"]:
+    """Further rows without whose commands the error is smaller, and what it has then: those that
+    are far enough apart at once, where that is better than the best one alone."""
+    tried = {k: playing.without([*lost, k]) for k in chips.blurred(lost)}
+    able = {k: then for k, then in tried.items() if then and chips.cost - then.cost > WORTH}
+    best = sorted(able, key=lambda k: able[k].cost)
+    if not best:
+        return (), None
+    apart = [k for n, k in enumerate(best) if all(abs(k - j) > APART_ROWS for j in best[:n])]
+    together = playing.without([*lost, *apart])
+    if len(apart) > 1 and together and together.cost < able[best[0]].cost:
+        return apart, together
+    return best[:1], able[best[0]]
 
 
 def heard(recording: Recording, lost: Iterable[int]) -> Recording:
@@ -138,6 +164,10 @@ class _Chips(NamedTuple):
         there = self.error[k : k + self.response.size]
         left = there + self.jumps[k] * self.response[: there.size]
         return float(left @ left) / max(float(there @ there), 1e-300)
+
+    def height_of(self, row: int) -> float:
+        """Of a row of the recording."""
+        return float(self.height[self.rows == row - self.first][0])
 
     def standing(self, least: float) -> Array:
         """How high each chip of whatever size stands, where the error looks most like one within a

@@ -43,7 +43,7 @@ def as_a_torque(whole: Evidence, final: Found, effect: str) -> AsATorque | None:
     if not whole.is_of_the_load_alone or wave is None or wave.order > HIGHEST_MOTOR:
         return None
     place = _place(final.model, wave.order)
-    if place is None:
+    if place is None or wave.torque_nm <= 0.0:  # a loop without an integrator is not held
         return None
     kept = [u for u in final.unknowns if u.effect != effect]
     less = seek(whole, final.model.without(effect), kept, final.sigma, iterations=1, first=2)

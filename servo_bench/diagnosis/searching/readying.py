@@ -83,9 +83,11 @@ def made_ready(
     motor, waves = _waves(quick, base.model)
     known = _nearer(quick, base, waves)
     report("data hygiene")
-    lost, told = _lost(recordings, known, block, without), (recordings, held_out)
+    asked = recordings if "missed_samples" not in without else ()
+    found = [_lost_of(recording, known, block) for recording in asked]
+    lost, told = _counted(found, recordings), (recordings, held_out)
     if lost.rows:
-        recordings, held_out, lost = _put_right(recordings, held_out, known, block)
+        recordings, held_out, lost = _put_right(recordings, held_out, found, known, block)
         quick = quick_evidence(recordings, model, _quick_rows(recordings), block=block)
         base = seek(quick, model, band, iterations=4)
         motor, waves = _waves(quick, base.model)
@@ -231,15 +233,12 @@ def _largest_a(rows: Rows, model: Model) -> tuple[float, ...]:
     return ()
 
 
-def _lost(
-    recordings: Sequence[Recording], known: Model, block: Choice, without: Collection[str]
-) -> LostCommands:
+def _counted(found: Sequence[LostCommands], recordings: Sequence[Recording]) -> LostCommands:
     """What was lost in all recordings; rows are counted through them."""
     rows, changes, offset = list[int](), 0, 0
-    for recording in recordings if "missed_samples" not in without else ():
-        found = _lost_of(recording, known, block)
-        rows += [offset + row for row in found.rows]
-        changes, offset = changes + found.changes, offset + len(recording)
+    for one, recording in zip(found, recordings, strict=False):
+        rows += [offset + row for row in one.rows]
+        changes, offset = changes + one.changes, offset + len(recording)
     return LostCommands(tuple(rows), changes)
 
 
@@ -251,21 +250,31 @@ def _lost_of(recording: Recording, model: Model, block: Choice) -> LostCommands:
 
 
 def _put_right(
-    recordings: tuple[Recording, ...], held_out: Recording | None, model: Model, block: Choice
+    recordings: tuple[Recording, ...],
+    held_out: Recording | None,
+    found: Sequence[LostCommands],
+    model: Model,
+    block: Choice,
 ) -> tuple[tuple[Recording, ...], Recording | None, LostCommands]:
     """Every recording with the commands that were heard, and how many were lost in all."""
-    every = [*recordings, *([held_out] if held_out is not None else [])]
-    right, rows, changes = [], [], 0
-    for number, recording in enumerate(every):
-        found = _lost_of(recording, model, block)
-        again = heard(recording, found.rows)
-        more = _lost_of(again, model, block)
-        right.append(heard(again, more.rows))
-        if number < len(recordings):
-            rows += [*found.rows, *more.rows]
-            changes += found.changes
-    judge = right.pop() if held_out is not None else None
-    return tuple(right), judge, LostCommands(tuple(sorted(rows)), changes)
+    right, lost = [], []
+    for recording, one in zip(recordings, found, strict=True):
+        mended, all_of_it = _mended(recording, one, model, block)
+        right.append(mended)
+        lost.append(all_of_it)
+    judge = held_out
+    if held_out is not None:
+        judge, _ = _mended(held_out, _lost_of(held_out, model, block), model, block)
+    return tuple(right), judge, _counted(lost, recordings)
+
+
+def _mended(
+    recording: Recording, lost: LostCommands, model: Model, block: Choice
+) -> tuple[Recording, LostCommands]:
+    """With what was lost put right, and with what only shows then."""
+    again = heard(recording, lost.rows)
+    more = _lost_of(again, model, block).rows
+    return heard(again, more), LostCommands(tuple(sorted({*lost.rows, *more})), lost.changes)
 
 
 def heard_after_all(

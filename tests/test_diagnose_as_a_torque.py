@@ -60,6 +60,19 @@ def test_a_second_torque_comes_beside_the_first() -> None:
     assert told.second_phase_rad == pytest.approx(-1.0, abs=0.1)
 
 
+def test_a_line_of_the_same_order_is_the_torque() -> None:
+    """Two of one order in a model would be one, in two places."""
+    hidden = MODEL.with_effect("cogging", **BEARING)
+    seen, found = with_wave(hidden, ECCENTRIC, amplitude_rad=5e-4, phase_rad=0.3)
+    start = found.model.with_effect("cogging", **{**BEARING, "torque_nm": 2e-4})
+    found = seek(seen, start, found.unknowns, iterations=3)
+    torque = as_a_torque(seen, found, ECCENTRIC)
+    assert torque is not None
+    told = torque.found.model.effects["cogging"]
+    assert told.torque_nm == pytest.approx(BEARING["torque_nm"], rel=0.1)
+    assert told.second_torque_nm == 0.0
+
+
 def test_a_large_eccentric_track_is_none() -> None:
     """A torque turns the shaft the later the faster it passes."""
     hidden = MODEL.with_effect(ECCENTRIC, amplitude_rad=8e-3, phase_rad=0.5)

@@ -96,6 +96,11 @@ class Comparison:
     held_out: Mask
     group: NDArray[np.int64]
 
+    @property
+    def is_of_the_load_alone(self) -> bool:
+        """Whether nothing but the load's encoder tells of the motor."""
+        return all(signal.name.startswith("load") for signal in self.signals)
+
     def errors(self, model: Model) -> Array:
         """Measured minus simulated; NaN where nothing came. Raises SimRigError as a model does."""
         parts = []

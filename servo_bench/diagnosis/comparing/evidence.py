@@ -105,7 +105,7 @@ class Evidence:
     @property
     def is_of_the_load_alone(self) -> bool:
         """Whether nothing but the load's encoder tells of the motor."""
-        return all(name.startswith("load") for name in self.names)
+        return self.fitted[0].is_of_the_load_alone
 
 
 class Errors:

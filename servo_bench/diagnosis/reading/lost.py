@@ -119,8 +119,8 @@ def _better(
     if not best:
         return (), None
     apart = [k for n, k in enumerate(best) if all(abs(k - j) > APART_ROWS for j in best[:n])]
-    together = playing.without([*lost, *apart])
-    if len(apart) > 1 and together and together.cost < able[best[0]].cost:
+    together = playing.without([*lost, *apart]) if len(apart) > 1 else None
+    if together and together.cost < able[best[0]].cost:
         return apart, together
     return best[:1], able[best[0]]
 

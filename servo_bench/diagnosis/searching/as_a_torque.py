@@ -47,7 +47,7 @@ def as_a_torque(whole: Evidence, final: Found, effect: str) -> AsATorque | None:
         return None
     kept = [u for u in final.unknowns if u.effect != effect]
     less = seek(whole, final.model.without(effect), kept, final.sigma, iterations=1, first=2)
-    start = _turned_in(whole, less, wave, place)
+    start = less.model if _has(less.model, place) else _turned_in(whole, less, wave, place)
     strength, phase = f"{place}torque_nm", f"{place}phase_rad"
     own = widened(TORQUE, (strength, phase), start, wave.torque_nm)
     found = seek(whole, start, merged(less.unknowns, own), final.sigma, iterations=3, first=1)
@@ -74,10 +74,15 @@ def _wave_of(model: Model, effect: str) -> Wave | None:
 def _place(model: Model, order: float) -> str | None:
     """A line of the model's cogging that is of this order, or free."""
     params = model.effects.get(TORQUE, cogging.Params())
-    places = [(p, getattr(params, f"{p}order"), getattr(params, f"{p}torque_nm")) for p in PLACES]
-    same = (place for place, of, torque in places if torque != 0.0 and of == order)
-    free = (place for place, _, torque in places if torque == 0.0)
-    return next(same, None) or next(free, None)
+    same = (p for p in PLACES if _has(model, p) and getattr(params, f"{p}order") == order)
+    free = (p for p in PLACES if not _has(model, p))
+    return next(same, next(free, None))
+
+
+def _has(model: Model, place: str) -> bool:
+    """Whether the model's cogging has a line there."""
+    params = model.effects.get(TORQUE, cogging.Params())
+    return bool(getattr(params, f"{place}torque_nm") != 0.0)
 
 
 def _turned_in(whole: Evidence, less: Found, wave: Wave, place: str) -> Model:

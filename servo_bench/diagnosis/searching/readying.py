@@ -244,7 +244,7 @@ def _counted(found: Sequence[LostCommands], recordings: Sequence[Recording]) -> 
 
 def _lost_of(recording: Recording, model: Model, block: Choice) -> LostCommands:
     comparison = compare(recording, model, block)
-    if all(signal.channel == "load_angle_rad" for signal in comparison.signals):
+    if comparison.is_of_the_load_alone:
         return lost_by_playing(recording, model, block)
     return lost_commands(comparison, model)
 

@@ -9,9 +9,9 @@ from scipy.signal import lfilter
 from servo_bench.diagnosis.comparing.comparison import Comparison, compare
 from servo_bench.diagnosis.comparing.evidence import SCALES
 from servo_bench.diagnosis.judging.judgement import verdict_of
-from servo_bench.diagnosis.reading.orders import tone
 from servo_bench.diagnosis.reading.subdivision import EFFECT as SCALE
 from servo_bench.diagnosis.reading.subdivision import load_lines, subdivision
+from servo_bench.diagnosis.reading.tone import period_of, tone
 from servo_bench.diagnosis.searching.coasting import coasting
 from servo_bench.diagnosis.searching.finding import find_causes
 from sim_rig.model import Model
@@ -19,8 +19,14 @@ from tests.fit_recordings import NOMINAL, STANDSTILL, recorded, with_channels
 
 MODEL = Model(NOMINAL)
 SLOTS, SHORT, PERIOD_S = 2500, 1300, 0.008
-LINES = 256
+LINES, PERIOD = 256, 300
 BOUNCING = coasting(MODEL, 700.0)
+
+
+def in_periods(seed: int, times: int) -> np.ndarray:
+    """Five levels, PERIOD rows of them over and over."""
+    one = np.random.default_rng(seed).choice([-6.0, -2.0, 0.0, 2.0, 6.0], PERIOD)
+    return np.concatenate((np.zeros(STANDSTILL), np.tile(one, times)))
 
 
 def compared(
@@ -31,6 +37,12 @@ def compared(
         angle = np.array(recording["load_angle_rad"])
         recording = with_channels(recording, load_angle_rad=angle + error_rad[: angle.size])
     return compare(recording, MODEL, scales=SCALES)
+
+
+def shaken(seed: int, played: np.ndarray, error_rad: np.ndarray) -> Comparison:
+    recording = recorded(MODEL, seed, played=played)
+    angle = np.asarray(recording["load_angle_rad"]) + error_rad
+    return compare(with_channels(recording, load_angle_rad=angle), MODEL, scales=SCALES)
 
 
 @pytest.mark.parametrize("seed", [31, 32])
@@ -112,6 +124,36 @@ def test_a_faint_line_in_a_hole_of_the_spectrum_is_none() -> None:
     faint = 5e-5 * np.sin(math.tau * 62.19 * PERIOD_S * slots)
     error_rad = 3e-4 * smooth / float(np.std(smooth)) + faint
     assert tone(compared(37, MODEL, error_rad, SHORT), MODEL) is None
+
+
+@pytest.mark.parametrize("seed", [49, 50, 51])
+def test_what_comes_with_every_period_of_the_commands_is_no_tone(seed: int) -> None:
+    """An error that is the same in each has lines at multiples of its rate, and nothing between."""
+    played = in_periods(seed, 8)
+    wrong = 5e-4 * np.random.default_rng(seed).standard_normal(PERIOD)
+    again = np.concatenate((np.zeros(STANDSTILL), np.tile(wrong, 8)))
+    assert tone(shaken(seed, played, again), MODEL) is None
+
+
+def test_a_floor_that_shakes_is_heard_beside_commands_that_come_again() -> None:
+    played = in_periods(52, 8)
+    shaking = 4e-4 * np.sin(math.tau * 23.04 * PERIOD_S * np.arange(played.size))
+    heard = tone(shaken(52, played, shaking), MODEL)
+    assert heard is not None
+    assert heard.frequency_hz == pytest.approx(23.04, abs=0.05)
+
+
+@pytest.mark.parametrize("times", [2, 3, 8])
+def test_the_period_of_commands(times: int) -> None:
+    assert period_of(in_periods(53, times)) == PERIOD
+
+
+def test_commands_that_do_not_come_again_have_no_period() -> None:
+    draw = np.random.default_rng(54)
+    assert period_of(draw.choice([-4.0, 4.0], 2000)) == 0
+    assert period_of(np.repeat(draw.uniform(-4.0, 4.0, 4), 500)) == 0
+    assert period_of(np.full(900, 3.0)) == 0
+    assert period_of(np.zeros(900)) == 0
 
 
 @pytest.mark.parametrize("seed", [45, 46])

@@ -35,10 +35,10 @@ from servo_bench.diagnosis.searching.readying import order_tolerance
 from sim_rig.effects import find_effect
 from sim_rig.model import Model
 
-FAR_BETTER, NEARLY_RIGHT, BEST_LAW = 10.0, 2.5, 40.0
+FAR_BETTER, NEARLY_RIGHT, BEST_LAW = 10.0, 2.5, 30.0
 """So many times better than before, and so near, is explained too where it is the load's, whose
-bounces no law foretells: what remains is noted. No law is exact: of what is far off, a fortieth may
-be left. Of the motor and its torque no more is: a notch of 25 Hz left 1.12 of 15 there."""
+bounces no law foretells: what remains is noted. No law is exact: of what is far off, a thirtieth
+may be left. Of the motor and its torque no more is: a notch of 25 Hz left 1.12 of 15 there."""
 THROWN = 1.5
 """That near the motor may be where a torque on the load throws it about: its bounces reach it."""
 WORSE = 1.25

@@ -4,7 +4,8 @@ times         an even clock under stamps that stray, and commands for rows that 
 lost          commands that were lost
 hygiene       wild samples, a coarse encoder's lattice
 crossing      when samples begin to see the next command
-orders        what repeats with the motor's shaft, and tones from outside
+orders        what repeats with the motor's shaft
+tone          what shakes the load from outside of the rig
 subdivision   what repeats with the lines of the load encoder's disc
 resting       rows in which the load rests on a face, and what is regular in its angle there
 revolution    what the load's encoder says wrong once or twice in a revolution

@@ -1,4 +1,4 @@
-"""Which orders (periods a revolution) of the motor's shaft stand in an error; and a tone in time.
+"""Which orders (periods a revolution) of the motor's shaft stand in an error.
 
 On the motor a wave d = exp(j n theta) of torque reaches the speed and the current through the
 nominal loop,
@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
-from scipy.ndimage import median_filter
 from scipy.signal import cont2discrete, lfilter
 
 from servo_bench.diagnosis.comparing.comparison import Comparison
@@ -28,20 +27,12 @@ FEWEST_ANGLES = 16
 MOST_ROWS = 2500
 LOWEST_MOTOR, HIGHEST_MOTOR = 2.6, 100.0
 """Below are weight, eccentricity and misalignment, which have effects of their own."""
-SMOOTH_ROWS = 25
 USUAL = (6.0, 8.0, 10.0, 12.0, 24.0)
 """Orders that are tried where no line stands out."""
 STANDS_OUT = 25.0
 """Explained over mean residual variance, of two degrees of freedom: exp(-12.5) by chance."""
 FAINT = 5.0
 """What stands out by less is not looked at again when a stronger line is taken out."""
-TONE = 60.0
-"""Power of a line in time over its surroundings: exp(-60) by chance, and models are not perfect."""
-LEAST_ABOUT = 0.4
-"""Of the whole spectrum's middle, that a line's surroundings count for: where the motion leaves a
-hole in the error's spectrum, anything stands out of it."""
-AUDIBLE = 0.3
-"""Amplitude of such a line, in sensor floors, below which it is nothing to speak of."""
 
 
 class OrderLine(NamedTuple):
@@ -259,42 +250,3 @@ def _explained(template: Array, values: Array) -> tuple[float, float]:
     points = max(int(np.count_nonzero(values)), 1)
     left = max(total - explained, 1e-300) / points
     return explained / max(total, 1e-300), explained / left
-
-
-class Tone(NamedTuple):
-    """A line in time: its frequency, amplitude in the load's angle, and how far it stands out."""
-
-    frequency_hz: float
-    amplitude_rad: float
-    height: float
-
-
-def tone(comparison: Comparison, model: Model) -> Tone | None:
-    """The strongest line in time of the load's (or twist's) error, where one stands out.
-
-    An excitation without periods within the record makes no such line, nor does any effect: it
-    comes from elsewhere.
-    """
-    levels = [k for k, s in enumerate(comparison.signals) if s.level]
-    if not levels or len(comparison.pieces) > 1:
-        return None
-    error = comparison.errors(model)[levels[0]]
-    known = np.isfinite(error) & comparison.seen
-    if known.sum() < 512:
-        return None
-    sigma = max(1.4826 * float(np.median(np.abs(error[known]))), 1e-12)
-    quick = np.where(known, error, 0.0)
-    quick = np.clip(quick - median_filter(quick, SMOOTH_ROWS), -3.0 * sigma, 3.0 * sigma)
-    window = np.hanning(quick.size)
-    power = np.abs(np.fft.rfft(quick * window)) ** 2
-    about = median_filter(power, 101, mode="nearest") / np.log(2.0)
-    everywhere = float(np.median(power)) / np.log(2.0)
-    height = power / np.maximum(about, max(LEAST_ABOUT * everywhere, 1e-300))
-    best = int(np.argmax(height[8:])) + 8
-    if height[best] < TONE:
-        return None
-    amplitude = 2.0 * float(np.sqrt(power[best])) / float(window.sum())
-    if amplitude < AUDIBLE * comparison.signals[levels[0]].floor:
-        return None
-    frequency = best / (quick.size * comparison.source.rows.period_s)
-    return Tone(frequency, amplitude, float(height[best]))

@@ -54,8 +54,11 @@ class Regular(NamedTuple):
         return float(self.found[column] / np.sqrt(max(self.spread[column, column], 1e-300)))
 
 
-def resting(comparison: Comparison, model: Model) -> Resting | None:
-    """Of the first piece; None without both encoders, or with too few rows."""
+def resting(
+    comparison: Comparison, model: Model, *, held_out: bool = False, fewest: int = FEWEST
+) -> Resting | None:
+    """Of the first piece, rows that a fit may see or those that are `held_out`; None without both
+    encoders, or with too few."""
     rows, piece = comparison.source.rows, comparison.pieces[0].piece
     if not (rows.has("load_angle_rad") and rows.has("motor_position_rad")):
         return None
@@ -67,8 +70,9 @@ def resting(comparison: Comparison, model: Model) -> Resting | None:
     error = angle - motor - twist
     way = 0.5 * float(np.ptp(twist))
     place = (twist - 0.5 * (twist.max() + twist.min())) / max(way, 1e-12)
-    known = np.isfinite(error) & rows.seen[piece.rows] & (np.abs(place) > ON_A_FACE)
-    if known.sum() < FEWEST:
+    asked = rows.held_out if held_out else rows.seen
+    known = np.isfinite(error) & asked[piece.rows] & (np.abs(place) > ON_A_FACE)
+    if known.sum() < fewest:
         return None
     return Resting(
         angle[known],

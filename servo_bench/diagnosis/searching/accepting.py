@@ -6,15 +6,26 @@ then       it is part of the base, and a load that coasts in its gap beside it; 
            is asked any more
 after a    round in which nothing held what it promised, what promised less has its turn, while the
            simulation is wrong by more than it may be; after the first, two at once (`in_two`)
+at last    where what was accepted leaves the simulation wrong, once more from another one of the
+           first round, which did as well there and changed something else
 """
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import NamedTuple
 
 from servo_bench.diagnosis.comparing.evidence import Evidence, block_z
 from servo_bench.diagnosis.searching.classes import class_of
 from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting, with_coasting
-from servo_bench.diagnosis.searching.contenders import BY_CHANCE, REFINES, Contender, Round
+from servo_bench.diagnosis.searching.contenders import (
+    BY_CHANCE,
+    LIKE,
+    REFINES,
+    RIVAL_Z,
+    Contender,
+    Round,
+    all_costs,
+)
 from servo_bench.diagnosis.searching.gate import (
     GIVE,
     HELD_Z,
@@ -88,6 +99,15 @@ def with_a_name(
     return next(worth, accepted)
 
 
+def _who_is(
+    quick: Evidence, played: Round, named: int, scales: Scales, *, right: bool
+) -> Contender | None:
+    """Accepted, with a name where there is one."""
+    accepted = accepted_of(played, named, right=right) or acts_again(quick, played)
+    able = partial(passes, named=named, right=right)
+    return with_a_name(accepted, played, scales, able)
+
+
 def _hopeless(failed: Sequence[Round]) -> set[str]:
     """Who was beyond chance worse than nothing on what no fit saw: beside what is too small for a
     name it need not be asked once more."""
@@ -107,17 +127,63 @@ def _is_lower(one: Found, other: Found) -> bool:
     return one.errors.cost(one.sigma) < other.errors.cost(one.sigma)
 
 
+class Accepted(NamedTuple):
+    """Base, causes, what is too small for a name, all rounds, and those after the last cause."""
+
+    now: Found
+    named: list[Named]
+    absorbed: list[str]
+    rounds: list[Round]
+    failed: list[Round]
+
+
 def rounds_of(
     quick: Evidence,
     base: Found,
     candidates: Sequence[Hypothesis],
     scales: Scales,
     report: Told,
-) -> tuple[Found, list[Named], list[str], list[Round], list[Round]]:
-    """Base, causes, what is too small for a name, all rounds, and those after the last cause.
+) -> Accepted:
+    """All rounds; and where they leave the simulation wrong, and another one did as well in the
+    first and changed something else, all that come after that: the better of the two ways."""
+    first = _one_way(quick, base, candidates, scales, report)
+    fork = _fork(first.rounds[0]) if first.rounds and first.named else None
+    if fork is None:
+        return first
+    ended = with_coasting(quick, first.now)
+    if float(misfit(quick, ended.errors).max()) < RIGHT:
+        return first
+    report(f"{fork.effect} first")
+    second = _one_way(quick, base, candidates, scales, report, begun=(first.rounds[0], fork))
+    other = with_coasting(quick, second.now)
+    held = quick.held_out([ended.model, other.model])
+    here, there = (
+        float(all_costs(end.errors, errors, ended.sigma).sum())
+        for end, errors in zip((ended, other), held, strict=True)
+    )
+    return second if there < here else first
 
-    Beside a cause, a load that coasts in its gap is put into the base of a round: a spring would
+
+def _fork(played: Round) -> Contender | None:
+    """Who came so near to the best one as chance, and changes something else."""
+    best, *others = played.contenders
+    unlike = (c for c in others if played.likeness(best, c) < LIKE and passes(c))
+    return next((c for c in unlike if block_z(best.costs, c.costs) < RIVAL_Z), None)
+
+
+def _one_way(
+    quick: Evidence,
+    base: Found,
+    candidates: Sequence[Hypothesis],
+    scales: Scales,
+    report: Told,
+    *,
+    begun: tuple[Round, Contender | None] | None = None,
+) -> Accepted:
+    """Beside a cause, a load that coasts in its gap is put into the base of a round: a spring would
     stand in for it. What gives a load a motion of its own is asked without that, in a round after.
+
+    `begun`: the first round, and who is accepted of it.
     """
     now, named, absorbed, rounds = base, list[Named](), list[str](), list[Round]()
     failed, turns, beside = list[Round](), list[set[str]](), base
@@ -127,15 +193,16 @@ def rounds_of(
         if not asked or len(named) == MOST_CAUSES:
             break
         missed = float(misfit(quick, beside.errors).max())
-        right = bool(named) and missed < RIGHT_ALREADY
-        least = FURTHER_PROMISE if right else LEAST_GAIN
         told = _in_round(number + 1, report)
-        played = play_round(quick, beside, asked, sizes, told, least=least)
+        if begun is None:
+            right = bool(named) and missed < RIGHT_ALREADY
+            least = FURTHER_PROMISE if right else LEAST_GAIN
+            played = play_round(quick, beside, asked, sizes, told, least=least)
+            accepted = _who_is(quick, played, len(named), scales, right=right)
+        else:
+            (played, accepted), begun = begun, None
         rounds.append(played)
         failed.append(played)
-        accepted = accepted_of(played, len(named), right=right) or acts_again(quick, played)
-        able = partial(passes, named=len(named), right=right)
-        accepted = with_a_name(accepted, played, scales, able)
         two = None
         if accepted is None and not (named or absorbed or turns) and missed > RIGHT:
             two = in_two(quick, played, asked, sizes, told)
@@ -165,4 +232,4 @@ def rounds_of(
         else:
             turns.append({c.effect for c in played.contenders})
             asked = [h for h in asked if h.effect not in turns[-1]]
-    return now, named, absorbed, rounds, failed
+    return Accepted(now, named, absorbed, rounds, failed)

@@ -37,9 +37,10 @@ from servo_bench.diagnosis.reading.creep import Creep, creep
 from servo_bench.diagnosis.reading.crossing import crossing_s
 from servo_bench.diagnosis.reading.hygiene import Lattice, lattice, wild_samples
 from servo_bench.diagnosis.reading.lost import LostCommands
-from servo_bench.diagnosis.reading.orders import USUAL, OrderLine, Tone, tone
+from servo_bench.diagnosis.reading.orders import USUAL, OrderLine
 from servo_bench.diagnosis.reading.reading import Reading
 from servo_bench.diagnosis.reading.subdivision import load_lines
+from servo_bench.diagnosis.reading.tone import Tone, tone
 from servo_bench.diagnosis.searching.accepting import rounds_of
 from servo_bench.diagnosis.searching.bounces import bounces
 from servo_bench.diagnosis.searching.coasting import (
@@ -204,7 +205,7 @@ def find_causes(
     absorbed += small
     # judged beside what is known now: a motor that sticks stands on the command's own steps
     grid = None if "quantisation" in without else lattice(whole.fitted[0], final.model)
-    final, plain = _coasting_at_last(late, final, plain, nothing=not (named or absorbed))
+    final, plain, named = _coasting_at_last(late, final, plain, named, absorbed)
     out = {e for e in READ_OFF if e in without or (only and e not in only)}
     final, named, readings = with_readings(whole, final, named, late, out)
     there = {*_absorbed(absorbed, named, final), *(read.effect for read in readings)}
@@ -271,16 +272,20 @@ def _coasting_or_not(late: Late, final: Found, plain: Found) -> Found:
 
 
 def _coasting_at_last(
-    late: Late, final: Found, plain: Found, *, nothing: bool
-) -> tuple[Found, Found]:
-    """The final fit and the plain one, with a load that coasts where that is so: where `nothing`
-    was found they are the same, and what coasting was asked with is not sought once more."""
+    late: Late, final: Found, plain: Found, named: list[Named], absorbed: Sequence[str]
+) -> tuple[Found, Found, list[Named]]:
+    """The final fit, the plain one, and the causes, with a load that coasts where that is so: where
+    nothing was found they are the same, and what coasting was asked with is not sought once more.
+    """
+    nothing = not (named or absorbed)
     if nothing and is_coasting(final.model):
         final = coasting_or_rested(late.whole, final, plain)
     else:
         rested = plain if nothing else final
         final = with_coasting(late.whole, rested, to_ask=False, scouted=late.quick)
-    return final, final if nothing else plain
+    if is_coasting(final.model):
+        final, named = run_off(late.whole, final, named, late.band, late.report, coasts=True)
+    return final, final if nothing else plain, named
 
 
 def _worth_telling(

@@ -38,10 +38,17 @@ class Scales(NamedTuple):
     gap_rad: float
     inertia_kg_m2: float
     peaks_a: tuple[float, ...] = ()
+    flowing_a: float = 0.0
     integral_peak_a: float = 0.0
     seconds: float = 0.0
     integral_per_s: float = 0.0
     believed: tuple[tuple[str, Any], ...] = ()
+
+    @property
+    def strongest_a(self) -> float:
+        """What flows for a fiftieth of the time, at the samples or between them: there a torque
+        constant droops most."""
+        return max(self.currents_a[0], self.flowing_a)
 
     @property
     def rig_torque_nm(self) -> float:
@@ -67,8 +74,9 @@ def yielding(inertia_kg_m2: float) -> float:
 
 def scales_of(model: Model, commands_rad_s: np.ndarray, durations_s: np.ndarray | float) -> Scales:
     """From the nominal rig's own simulation. `currents_a` are high quantiles of its size at the
-    samples, `peaks_a` of what flows between them: a stiff loop's jump is over in a millisecond;
-    `integral_peak_a` is the most that the controller's integral comes to, and that seldom.
+    samples, `peaks_a` of what flows between them (`flowing_a` is the second): a stiff loop's jump
+    is over in a millisecond; `integral_peak_a` is the most that the controller's integral comes to,
+    and that seldom.
     """
     nominal, done = model.nominal, model.simulate(commands_rad_s, durations_s)
     current = np.abs(done.motor_current_a)
@@ -78,12 +86,14 @@ def scales_of(model: Model, commands_rad_s: np.ndarray, durations_s: np.ndarray 
     jumps = np.diff(commands_rad_s)
     jumps = jumps[jumps != 0.0]
     rms = float(np.sqrt(np.mean(current**2)))
+    peaks_a = _quantiles(_within(model, commands_rad_s, durations_s), (0.998, 0.98, 0.94))
     return Scales(
         torque_nm=max(rms * nominal.torque_constant_nm_per_a, 1e-9),
         speed_rad_s=max(float(np.sqrt(np.mean(done.motor_velocity_rad_s**2))), 1e-9),
         current_a=max(rms, 1e-9),
         currents_a=_quantiles(current, (0.98, 0.92, 0.8)),
-        peaks_a=_quantiles(_within(model, commands_rad_s, durations_s), (0.998, 0.98, 0.94)),
+        peaks_a=peaks_a,
+        flowing_a=peaks_a[1],
         integral_a=_quantiles(integral, (0.98, 0.9, 0.75)),
         integral_peak_a=float(np.max(integral, initial=0.0)),
         command_rad_s=max(float(np.abs(commands_rad_s).max()), 1e-9),

@@ -14,8 +14,9 @@ from servo_bench.diagnosis.reading.subdivision import load_lines, subdivision
 from servo_bench.diagnosis.reading.tone import period_of, tone
 from servo_bench.diagnosis.searching.coasting import coasting
 from servo_bench.diagnosis.searching.finding import find_causes
+from servo_bench.excitation.experiment import Phase
 from sim_rig.model import Model
-from tests.fit_recordings import NOMINAL, STANDSTILL, recorded, with_channels
+from tests.fit_recordings import NOMINAL, STANDSTILL, commands, recorded, with_channels
 
 MODEL = Model(NOMINAL)
 SLOTS, SHORT, PERIOD_S = 2500, 1300, 0.008
@@ -108,6 +109,22 @@ def test_what_is_in_one_half_of_the_recording_is_not_the_discs() -> None:
     late = compare(with_channels(recording, load_angle_rad=angle), MODEL, scales=SCALES)
     assert load_lines(late, MODEL)
     assert subdivision(late, MODEL) is None
+
+
+def test_what_is_not_in_the_rows_that_were_held_out_is_not_the_discs() -> None:
+    """Where commands come again the same places have the same errors, and halves agree."""
+    wave = {"amplitude_rad": 1e-4, "line_order": float(LINES)}
+    played = np.concatenate((commands(55, SLOTS), commands(56, 900)[STANDSTILL:]))
+    without = recorded(MODEL, 55, played=played)
+    with_wave = recorded(MODEL.with_effect("encoder_subdivision", **wave), 55, played=played)
+    phase = np.full(len(without), Phase.IDENTIFICATION, np.uint32)
+    phase[:STANDSTILL], phase[SLOTS:] = Phase.STANDSTILL, Phase.VALIDATION
+    angle = np.array(with_wave["load_angle_rad"])
+    everywhere = with_channels(with_wave, phase=phase)
+    assert subdivision(compare(everywhere, MODEL, scales=SCALES), MODEL) is not None
+    angle[SLOTS:] = np.array(without["load_angle_rad"])[SLOTS:]
+    seen = with_channels(without, phase=phase, load_angle_rad=angle)
+    assert subdivision(compare(seen, MODEL, scales=SCALES), MODEL) is None
 
 
 def test_a_floor_that_shakes_is_heard() -> None:

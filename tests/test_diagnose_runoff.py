@@ -65,6 +65,35 @@ def test_of_two_that_change_nearly_the_same_everything_tells_which(named: str) -
     assert lags_s == pytest.approx(LAG_S, rel=0.1)
 
 
+COUPLING = {"compliance_rad_per_nm": 0.02, "damping_s": 1.5e-4, "load_inertia_kg_m2": 4e-5}
+
+
+@pytest.mark.parametrize("coasts", [False, True])
+def test_a_coupling_faces_who_was_sure_once_the_load_coasts(coasts: bool) -> None:
+    """Its three numbers fitted a part of what the load did in its gap, ahead of the lag."""
+    light = coasting(MODEL, 800.0)
+    hidden = light.with_effect("current_loop_lag", lag_s=LAG_S)
+    whole = evidence_of([recorded(hidden, 67, slots=900)], MODEL, block="loop")
+    base = seek(whole, MODEL, BAND, iterations=3)
+    start = MODEL.with_effect("coupling_compliance", **COUPLING)
+    own = widened("coupling_compliance", tuple(COUPLING), start, 0.02)
+    coupling = Hypothesis(
+        "coupling_compliance", (Trial("coupling_compliance", COUPLING, 0.02),), tuple(COUPLING)
+    )
+    found = seek(whole, start, merged(BAND, own), iterations=3)
+    played = faced(whole, base, [(found, coupling), fitted(whole, *LAGS[0])])
+    contenders = {c.effect: c for c in played.contenders}
+    one = contenders["coupling_compliance"]
+    lag = replace(contenders["current_loop_lag"], costs=1.2 * one.costs)
+    begun = replace(played, contenders=(one, lag))
+    first = Named(one.effect, begun, one, own_unknowns(one, one.effect))
+    beside = replace(light, effects={**light.effects, **start.effects})
+    now = seek(whole, beside, found.unknowns, iterations=3)
+    final, (kept,) = run_off(whole, now, [first], BAND, nothing_told, coasts=coasts)
+    assert kept.effect == ("current_loop_lag" if coasts else "coupling_compliance")
+    assert ("coupling_compliance" in final.model.effects) is not coasts
+
+
 ONE_SIDED_NM = 4e-3
 ONE_SIDED = {"asymmetric_friction": "difference_torque_nm", "load_torque": "torque_nm"}
 

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -62,6 +63,20 @@ def test_torques_of_the_rigs_own_are_told_without_a_gap_to_the_largest(amplitude
                 low <= high * (1.0 + 1e-9) for (_, high), (low, _) in itertools.pairwise(reaches)
             ), tried.effect
             assert reaches[-1][1] >= OWN_MOST * here.rig_torque_nm, tried.effect
+
+
+def test_what_droops_is_worth_a_name_whenever_its_current_is_sampled() -> None:
+    """A stiff loop's jump is over before a slow logger's next sample, and flows all the same."""
+    gains = {"proportional_gain_a_s_per_rad": 2.0, "integral_gain_a_per_rad": 300.0}
+    stiff = Model(replace(NOMINAL, **gains))
+    slow = commands(5, 600)[::2]
+    droop = [
+        material_sizes(scales_of(stiff, np.repeat(slow, k), 0.016 / k))["torque_constant_droop"]
+        for k in (1, 16)
+    ]
+    sampled_a = [scales_of(stiff, np.repeat(slow, k), 0.016 / k).currents_a[0] for k in (1, 16)]
+    assert sampled_a[1] > 2.0 * sampled_a[0]
+    assert droop[0] == pytest.approx(droop[1], rel=0.15)
 
 
 def hard(seed: int) -> NDArray[np.float64]:

@@ -46,15 +46,12 @@ PLACES = 1 << 17
 """A revolution's, by which an angle is told for a line: a fifteenth of a radian of the highest."""
 TURNS = 4
 CLEARLY, AGREES, NOISIER = 6.0, 3.0, 3.0
-"""Standard errors: of the whole wave beyond zero; and of what both halves of the record may differ
-by. What is quick and so much noisier than the sensor at rest is the simulation's, not the disc's:
-it was 1.0 to 2.6 of that on 23 rigs of development seeds, and 7 and 30 on two that coast."""
-
-
-HOLDS = 1.5
-"""Standard errors beyond zero of the same wave in what was held out. Where commands come again and
-again, so do places and errors, and halves of one excitation agree by chance: two waves of half a
-count that were not there stood at 8 and 9 in the identification, at 0.2 and -1.8 here."""
+"""Standard errors: of the whole wave beyond zero; and of what both halves of the record, and what
+was held out, may differ by. Where commands come again and again, so do places and errors, and
+halves agree by chance: two waves of half a count that were not there stood at 8 and 9, and were 5.7
+and 7.6 from what was held out. What is quick and so much noisier than the sensor at rest is the
+simulation's, not the disc's: it was 1.0 to 2.6 of that on 23 rigs of development seeds, and 7 and
+30 on two that coast."""
 
 
 class Subdivision(NamedTuple):
@@ -116,21 +113,18 @@ def _told(scale: _Scale | None, held: _Scale | None) -> Subdivision | None:
     order, half = lines[0].order, scale.angle.size // 2
     wave, deviation = _wave(scale, order)
     first, second = (_wave(scale.part(where), order) for where in (slice(half), slice(half, None)))
-    apart = float(np.hypot(*(first[0] - second[0])))
     amplitude = float(np.hypot(*wave))
-    differs = apart > AGREES * float(np.hypot(first[1], second[1]))
+    alike = _are_alike(first, second) and _are_alike((wave, deviation), _wave(held, order))
     left = _deviation(scale.error - _shape(scale, order) @ wave)
-    if differs or amplitude < CLEARLY * deviation or left > NOISIER * scale.floor_rad:
-        return None
-    if not _holds(wave, _wave(held, order)):
+    if not alike or amplitude < CLEARLY * deviation or left > NOISIER * scale.floor_rad:
         return None
     return Subdivision(order, amplitude, float(np.arctan2(wave[1], wave[0])), deviation)
 
 
-def _holds(wave: Array, held: tuple[Array, float]) -> bool:
-    """Whether what was held out has as much of the wave as to stand beyond chance."""
-    along = float(wave @ held[0]) / float(np.hypot(*wave))
-    return along > HOLDS * held[1]
+def _are_alike(one: tuple[Array, float], other: tuple[Array, float]) -> bool:
+    """Whether two waves, each with its standard error, differ by no more than that."""
+    apart = float(np.hypot(*(one[0] - other[0])))
+    return apart <= AGREES * float(np.hypot(one[1], other[1]))
 
 
 def _at_rest(comparison: Comparison, model: Model, held_out: bool = False) -> _Scale | None:

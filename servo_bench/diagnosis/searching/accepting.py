@@ -6,8 +6,6 @@ then       it is part of the base, and a load that coasts in its gap beside it; 
            is asked any more
 after a    round in which nothing held what it promised, what promised less has its turn, while the
            simulation is wrong by more than it may be; after the first, two at once (`in_two`)
-at last    where what was accepted leaves the simulation wrong, once more from another one of the
-           first round, which did as well there and changed something else
 """
 
 from collections.abc import Callable, Sequence
@@ -19,12 +17,9 @@ from servo_bench.diagnosis.searching.classes import class_of
 from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting, with_coasting
 from servo_bench.diagnosis.searching.contenders import (
     BY_CHANCE,
-    LIKE,
     REFINES,
-    RIVAL_Z,
     Contender,
     Round,
-    all_costs,
 )
 from servo_bench.diagnosis.searching.gate import (
     GIVE,
@@ -137,41 +132,7 @@ class Accepted(NamedTuple):
     failed: list[Round]
 
 
-def rounds_of(
-    quick: Evidence,
-    base: Found,
-    candidates: Sequence[Hypothesis],
-    scales: Scales,
-    report: Told,
-) -> Accepted:
-    """All rounds; and where they leave the simulation wrong, and another one did as well in the
-    first and changed something else, all that come after that: the better of the two ways."""
-    first = _one_way(quick, base, candidates, scales, report)
-    fork = _fork(first.rounds[0]) if first.rounds and first.named else None
-    if fork is None:
-        return first
-    ended = with_coasting(quick, first.now)
-    if float(misfit(quick, ended.errors).max()) < RIGHT:
-        return first
-    report(f"{fork.effect} first")
-    second = _one_way(quick, base, candidates, scales, report, begun=(first.rounds[0], fork))
-    other = with_coasting(quick, second.now)
-    held = quick.held_out([ended.model, other.model])
-    here, there = (
-        float(all_costs(end.errors, errors, ended.sigma).sum())
-        for end, errors in zip((ended, other), held, strict=True)
-    )
-    return second if there < here else first
-
-
-def _fork(played: Round) -> Contender | None:
-    """Who came so near to the best one as chance, and changes something else."""
-    best, *others = played.contenders
-    unlike = (c for c in others if played.likeness(best, c) < LIKE and passes(c))
-    return next((c for c in unlike if block_z(best.costs, c.costs) < RIVAL_Z), None)
-
-
-def _one_way(
+def one_way(
     quick: Evidence,
     base: Found,
     candidates: Sequence[Hypothesis],
@@ -180,7 +141,9 @@ def _one_way(
     *,
     begun: tuple[Round, Contender | None] | None = None,
 ) -> Accepted:
-    """Beside a cause, a load that coasts in its gap is put into the base of a round: a spring would
+    """One round after the other.
+
+    Beside a cause, a load that coasts in its gap is put into the base of a round: a spring would
     stand in for it. What gives a load a motion of its own is asked without that, in a round after.
 
     `begun`: the first round, and who is accepted of it.

@@ -41,7 +41,6 @@ from servo_bench.diagnosis.reading.orders import USUAL, OrderLine
 from servo_bench.diagnosis.reading.reading import Reading
 from servo_bench.diagnosis.reading.subdivision import load_lines
 from servo_bench.diagnosis.reading.tone import Tone, tone
-from servo_bench.diagnosis.searching.accepting import rounds_of
 from servo_bench.diagnosis.searching.bounces import bounces
 from servo_bench.diagnosis.searching.coasting import (
     OTHERWISE,
@@ -50,6 +49,7 @@ from servo_bench.diagnosis.searching.coasting import (
     with_coasting,
 )
 from servo_bench.diagnosis.searching.contenders import Round
+from servo_bench.diagnosis.searching.forking import rounds_of
 from servo_bench.diagnosis.searching.gate import (
     is_noted,
     misfit,

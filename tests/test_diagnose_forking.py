@@ -1,0 +1,116 @@
+"""Two that explain as much and change something else: which comes first is tried both ways."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
+from servo_bench.diagnosis.searching import forking
+from servo_bench.diagnosis.searching.accepting import Accepted
+from servo_bench.diagnosis.searching.contenders import Contender, Round, faced
+from servo_bench.diagnosis.searching.finding import nothing_told
+from servo_bench.diagnosis.searching.forking import fork_of, rounds_of
+from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Trial
+from servo_bench.diagnosis.searching.joint import Named, own_unknowns
+from servo_bench.diagnosis.searching.scales import scales_of
+from servo_bench.diagnosis.searching.seeking import Found, seek
+from servo_bench.diagnosis.searching.unknowns import merged, nuisances, widened
+from sim_rig.model import Model
+from tests.fit_recordings import NOMINAL, recorded
+
+MODEL = Model(NOMINAL)
+BAND = nuisances(0.05, NOMINAL.backlash_gap_rad)
+LAG, DELAY, LINE = "current_loop_lag", "transport_delay", "cogging"
+SIZES = {
+    LAG: {"lag_s": 6e-4},
+    DELAY: {"delay_s": 6e-4},
+    LINE: {"torque_nm": 4e-3, "order": 24.0, "phase_rad": 0.4},
+}
+FREE = {LAG: ("lag_s",), DELAY: ("delay_s",), LINE: ("torque_nm", "phase_rad")}
+HIDDEN = MODEL.with_effect(LAG, **SIZES[LAG]).with_effect(LINE, **SIZES[LINE])
+
+
+@pytest.fixture(scope="module")
+def seen() -> Evidence:
+    """Of a rig with a lag and a line, which change different things."""
+    return evidence_of([recorded(HIDDEN, 91, slots=900)], MODEL, block="loop")
+
+
+@pytest.fixture(scope="module")
+def played(seen: Evidence) -> Round:
+    return faced(seen, seek(seen, MODEL, BAND, iterations=3), [fitted(seen, e) for e in SIZES])
+
+
+@pytest.fixture
+def walked(seen: Evidence, played: Round) -> tuple[Evidence, Round]:
+    return seen, played
+
+
+def fitted(seen: Evidence, effect: str) -> tuple[Found, Hypothesis]:
+    start, size = MODEL.with_effect(effect, **SIZES[effect]), next(iter(SIZES[effect].values()))
+    own = widened(effect, FREE[effect], start, size)
+    hypothesis = Hypothesis(effect, (Trial(effect, dict(SIZES[effect]), size),), FREE[effect])
+    return seek(seen, start, merged(BAND, own), iterations=3), hypothesis
+
+
+def told(played: Round, *effects: str, apart: float = 0.0) -> Round:
+    """With these contenders alone; the others are `apart` of the first one's cost behind it."""
+    first, *others = (next(c for c in played.contenders if c.effect == e) for e in effects)
+    return replace(played, contenders=(first, *(_behind(c, first, apart) for c in others)))
+
+
+def _behind(other: Contender, first: Contender, apart: float) -> Contender:
+    rough = np.random.default_rng(4).normal(apart, 0.02, first.costs.size)
+    return replace(other, costs=first.costs * (1.0 + rough))
+
+
+def test_another_way_begins_with_what_is_as_good_and_changes_something_else(played: Round) -> None:
+    there = fork_of(told(played, LAG, LINE))
+    assert there is not None
+    assert there.effect == LINE
+    assert fork_of(told(played, LAG, DELAY)) is None, "the same way by another name"
+    assert fork_of(told(played, LAG, LINE, apart=0.2)) is None, "it is behind beyond chance"
+    assert fork_of(told(played, LAG)) is None
+
+
+@pytest.mark.parametrize(
+    ("ways", "kept", "asked"),
+    [
+        (((LAG,), (LAG, LINE)), 1, ["", LINE]),
+        (((LAG,), (DELAY,)), 0, ["", LINE]),
+        (((LAG, LINE), (LINE,)), 0, [""]),
+    ],
+)
+def test_the_better_way_is_taken_and_a_right_one_at_once(
+    walked: tuple[Evidence, Round],
+    ways: tuple[tuple[str, ...], ...],
+    kept: int,
+    asked: list[str],
+) -> None:
+    seen, played = walked
+    first, begun_with = told(played, LAG, LINE), list[str]()
+    ends = [_end(seen, first, effects) for effects in ways]
+
+    def way(*_: object, begun: tuple[Round, Contender] | None = None) -> Accepted:
+        begun_with.append("" if begun is None else begun[1].effect)
+        return ends[len(begun_with) - 1]
+
+    commands = np.asarray(seen.fitted[0].source.rows.channel("velocity_command_rad_s"))
+    scales = scales_of(MODEL, commands, 0.008)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(forking, "one_way", way)
+        found = rounds_of(seen, first.base, (), scales, nothing_told)
+    assert found is ends[kept]
+    assert begun_with == asked
+
+
+def _end(seen: Evidence, played: Round, effects: tuple[str, ...]) -> Accepted:
+    """Of a way that found these."""
+    model = MODEL
+    for effect in effects:
+        model = model.with_effect(effect, **SIZES[effect])
+    free = tuple(u for u in BAND if u.effect not in SIZES)
+    end, one = seek(seen, model, free, played.sigma, iterations=2), played.contenders[0]
+    names = [Named(effect, played, one, own_unknowns(one, effect)) for effect in effects]
+    return Accepted(end, names, [], [played], [])

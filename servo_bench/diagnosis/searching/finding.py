@@ -205,7 +205,7 @@ def find_causes(
     absorbed += small
     # judged beside what is known now: a motor that sticks stands on the command's own steps
     grid = None if "quantisation" in without else lattice(whole.fitted[0], final.model)
-    final, plain, named = _coasting_at_last(late, final, plain, named, absorbed)
+    final, plain, named, absorbed = _coasting_at_last(late, final, plain, named, absorbed)
     out = {e for e in READ_OFF if e in without or (only and e not in only)}
     final, named, readings = with_readings(whole, final, named, late, out)
     there = {*_absorbed(absorbed, named, final), *(read.effect for read in readings)}
@@ -272,10 +272,11 @@ def _coasting_or_not(late: Late, final: Found, plain: Found) -> Found:
 
 
 def _coasting_at_last(
-    late: Late, final: Found, plain: Found, named: list[Named], absorbed: Sequence[str]
-) -> tuple[Found, Found, list[Named]]:
-    """The final fit, the plain one, and the causes, with a load that coasts where that is so: where
-    nothing was found they are the same, and what coasting was asked with is not sought once more.
+    late: Late, final: Found, plain: Found, named: list[Named], absorbed: list[str]
+) -> tuple[Found, Found, list[Named], list[str]]:
+    """The final fit, the plain one, causes, and what is too small for a name, with a load that
+    coasts where that is so: where nothing was found the fits are the same, and what coasting was
+    asked with is not sought once more. Who takes a coupling's place has to be worth its name.
     """
     nothing = not (named or absorbed)
     if nothing and is_coasting(final.model):
@@ -284,8 +285,16 @@ def _coasting_at_last(
         rested = plain if nothing else final
         final = with_coasting(late.whole, rested, to_ask=False, scouted=late.quick)
     if is_coasting(final.model):
-        final, named = run_off(late.whole, final, named, late.band, late.report, coasts=True)
-    return final, final if nothing else plain, named
+        had = {n.effect for n in named}
+        final, faced = run_off(late.whole, final, named, late.band, late.report, coasts=True)
+        small = [n for n in faced if n.effect not in had and not is_worth_it(n, final, late.scales)]
+        named, absorbed = _without(faced, small), [*absorbed, *(n.effect for n in small)]
+    return final, final if nothing else plain, named, absorbed
+
+
+def _without(named: Sequence[Named], small: Sequence[Named]) -> list[Named]:
+    effects = {n.effect for n in small}
+    return [n for n in named if n.effect not in effects]
 
 
 def _worth_telling(

@@ -10,6 +10,8 @@ from servo_bench.diagnosis.searching.finding import find_causes
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, commands, recorded, with_channels
+from tests.trial import run_trial
+from tests.trials.drawing import Question
 
 MODEL = Model(NOMINAL)
 SLOTS, PERIOD_S = 1500, 0.008
@@ -101,3 +103,15 @@ def test_the_skew_is_named_with_its_size(after_s: float) -> None:
     assert verdict.names == ("clock_skew",)
     (cause,) = verdict.causes
     assert cause.parameters["skew_fraction"].value == pytest.approx(skew, rel=0.2)
+
+
+@pytest.mark.long
+def test_a_clock_whose_jumps_show_a_drives_tick_after_it_crossed_is_named() -> None:
+    """In the independent plant, whose drive has ticks: a good part of a jump shows after 8 s, where
+    -22e-6 had crossed at 3."""
+    line = run_trial(Question(seed=5402500, effect="clock_skew"))
+    assert line["failure"] == ""
+    assert [named["effect"] for named in line["score"]["named"]] == ["clock_skew"]
+    (number,) = (m for m in line["score"]["measured"] if m["parameter"] == "skew_fraction")
+    assert number["covered"]
+    assert abs(number["relative_error"]) < 0.1

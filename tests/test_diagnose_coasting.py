@@ -160,22 +160,3 @@ def test_friction_of_the_load_fits_better_than_one_that_coasts(
     noted: Any = [SimpleNamespace(effect=named)]
     joint = finding._beside_coasting(late, late.whole, (final, final), noted, [])
     assert joint == ((coasts, []) if told else None)
-
-
-@pytest.mark.parametrize("worth", [True, False])
-def test_who_takes_a_couplings_place_has_to_be_worth_its_name(
-    monkeypatch: pytest.MonkeyPatch, worth: bool
-) -> None:
-    """What was told before was worth its own beside a load that stood."""
-    coasts = ended(coasting(MODEL, SLOWED_RAD_S2), 90.0)
-    had: Any = [SimpleNamespace(effect="coupling_compliance"), SimpleNamespace(effect="cogging")]
-    now: Any = [SimpleNamespace(effect="current_loop_lag"), had[1]]
-    monkeypatch.setattr(finding, "with_coasting", lambda *_, **__: coasts)
-    monkeypatch.setattr(finding, "run_off", lambda *_, **__: (coasts, now))
-    monkeypatch.setattr(finding, "is_worth_it", lambda *_: worth)
-    late: Any = SimpleNamespace(whole=None, quick=None, band=(), report=None, scales=None)
-    plain = ended(MODEL, 100.0)
-    final, rested, named, small = finding._coasting_at_last(late, plain, plain, had, ["viscous"])
-    assert (final, rested) == (coasts, plain)
-    assert [n.effect for n in named] == (["current_loop_lag"] if worth else []) + ["cogging"]
-    assert small == ["viscous"] + ([] if worth else ["current_loop_lag"])

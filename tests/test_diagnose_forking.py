@@ -7,7 +7,7 @@ import pytest
 
 from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.searching import forking
-from servo_bench.diagnosis.searching.accepting import Accepted
+from servo_bench.diagnosis.searching.accepting import Accepted, one_way
 from servo_bench.diagnosis.searching.contenders import Contender, Round, faced
 from servo_bench.diagnosis.searching.finding import nothing_told
 from servo_bench.diagnosis.searching.forking import fork_of, rounds_of
@@ -65,13 +65,43 @@ def _behind(other: Contender, first: Contender, apart: float) -> Contender:
     return replace(other, costs=first.costs * (1.0 + rough))
 
 
+def fork(played: Round, accepted: str) -> str | None:
+    (one,) = (c for c in played.contenders if c.effect == accepted)
+    found = fork_of(played, one)
+    return None if found is None else found.effect
+
+
 def test_another_way_begins_with_what_is_as_good_and_changes_something_else(played: Round) -> None:
-    there = fork_of(told(played, LAG, LINE))
-    assert there is not None
-    assert there.effect == LINE
-    assert fork_of(told(played, LAG, DELAY)) is None, "the same way by another name"
-    assert fork_of(told(played, LAG, LINE, apart=0.2)) is None, "it is behind beyond chance"
-    assert fork_of(told(played, LAG)) is None
+    assert fork(told(played, LAG, LINE), LAG) == LINE
+    assert fork(told(played, LAG, LINE), LINE) == LAG, "whoever was accepted of the two"
+    assert fork(told(played, LAG, DELAY), LAG) is None, "the same way by another name"
+    assert fork(told(played, LAG, LINE, apart=0.2), LAG) is None, "it is behind beyond chance"
+    assert fork(told(played, LAG), LAG) is None
+
+
+def test_a_coupling_begins_no_other_way(played: Round) -> None:
+    """Its three numbers fit a part of anything."""
+    both = told(played, LAG, LINE)
+    spring = replace(both.contenders[1].hypothesis, effect="coupling_compliance")
+    other = replace(both.contenders[1], hypothesis=spring)
+    assert fork(replace(both, contenders=(both.contenders[0], other)), LAG) is None
+
+
+def test_a_way_goes_on_from_who_is_accepted_of_the_round_that_was_played(
+    seen: Evidence, played: Round
+) -> None:
+    """Where nothing else is to ask it ends with that, beside the round it came from."""
+    begun = told(played, LAG, LINE)
+    commands = np.asarray(seen.fitted[0].source.rows.channel("velocity_command_rad_s"))
+    scales = scales_of(MODEL, commands, 0.008)
+    for one in begun.contenders:
+        asked = (one.hypothesis,)
+        way = one_way(seen, begun.base, asked, scales, nothing_told, begun=(begun, one))
+        assert [n.effect for n in way.named] == [one.effect]
+        assert way.first is one
+        assert way.rounds == [begun]
+        assert way.now is one.found
+    assert one_way(seen, begun.base, (), scales, nothing_told).rounds == []
 
 
 @pytest.mark.parametrize(
@@ -113,4 +143,4 @@ def _end(seen: Evidence, played: Round, effects: tuple[str, ...]) -> Accepted:
     free = tuple(u for u in BAND if u.effect not in SIZES)
     end, one = seek(seen, model, free, played.sigma, iterations=2), played.contenders[0]
     names = [Named(effect, played, one, own_unknowns(one, effect)) for effect in effects]
-    return Accepted(end, names, [], [played], [])
+    return Accepted(end, names, [], [played], [], one)

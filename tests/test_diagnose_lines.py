@@ -1,6 +1,7 @@
 """Lines in a load's error: of its own scale by the angle, and of something outside by the time."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -15,8 +16,9 @@ from servo_bench.diagnosis.reading.tone import period_of, tone
 from servo_bench.diagnosis.searching.coasting import coasting
 from servo_bench.diagnosis.searching.finding import find_causes
 from servo_bench.excitation.experiment import Phase
+from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
-from tests.fit_recordings import NOMINAL, STANDSTILL, commands, recorded, with_channels
+from tests.fit_recordings import NOMINAL, STANDSTILL, commands, recorded, rows, with_channels
 
 MODEL = Model(NOMINAL)
 SLOTS, SHORT, PERIOD_S = 2500, 1300, 0.008
@@ -40,10 +42,26 @@ def compared(
     return compare(recording, MODEL, scales=SCALES)
 
 
-def shaken(seed: int, played: np.ndarray, error_rad: np.ndarray) -> Comparison:
+def shaken(seed: int, played: np.ndarray, error_rad: np.ndarray) -> Recording:
     recording = recorded(MODEL, seed, played=played)
     angle = np.asarray(recording["load_angle_rad"]) + error_rad
-    return compare(with_channels(recording, load_angle_rad=angle), MODEL, scales=SCALES)
+    return with_channels(recording, load_angle_rad=angle)
+
+
+def _with_a_slot_skipped(recording: Recording) -> Recording:
+    return rows(recording, np.delete(np.arange(len(recording)), len(recording) // 3))
+
+
+def _with_samples_that_did_not_come(recording: Recording) -> Recording:
+    angle = np.array(recording["load_angle_rad"])
+    angle[np.random.default_rng(1).random(angle.size) < 0.05] = np.nan
+    return with_channels(recording, load_angle_rad=angle)
+
+
+HARMED = {
+    "skipped": _with_a_slot_skipped,
+    "samples": _with_samples_that_did_not_come,
+}
 
 
 @pytest.mark.parametrize("seed", [31, 32])
@@ -127,6 +145,16 @@ def test_what_is_not_in_the_rows_that_were_held_out_is_not_the_discs() -> None:
     assert subdivision(compare(seen, MODEL, scales=SCALES), MODEL) is None
 
 
+@pytest.mark.parametrize("validation", [40, 90])
+def test_what_was_held_out_denies_nothing_where_it_is_short(validation: int) -> None:
+    wave = {"amplitude_rad": 2e-4, "line_order": float(LINES)}
+    recording = recorded(MODEL.with_effect("encoder_subdivision", **wave), 57, slots=SLOTS)
+    phase = np.array(recording["phase"])
+    phase[STANDSTILL:-validation] = Phase.IDENTIFICATION
+    short = compare(with_channels(recording, phase=phase), MODEL, scales=SCALES)
+    assert subdivision(short, MODEL) is not None
+
+
 def test_a_floor_that_shakes_is_heard() -> None:
     shaking = 4e-4 * np.sin(math.tau * 23.0 * PERIOD_S * np.arange(SLOTS + 200))
     heard = tone(compared(36, BOUNCING, shaking), MODEL)
@@ -144,25 +172,37 @@ def test_a_faint_line_in_a_hole_of_the_spectrum_is_none() -> None:
 
 
 @pytest.mark.parametrize("seed", [49, 50, 51])
-def test_what_comes_with_every_period_of_the_commands_is_no_tone(seed: int) -> None:
+@pytest.mark.parametrize("harm", [lambda r: r, *HARMED.values()], ids=["whole", *HARMED])
+def test_what_comes_with_every_period_of_the_commands_is_no_tone(
+    harm: Callable[[Recording], Recording], seed: int
+) -> None:
     """An error that is the same in each has lines at multiples of its rate, and nothing between."""
-    played = in_periods(seed, 8)
     wrong = 5e-4 * np.random.default_rng(seed).standard_normal(PERIOD)
     again = np.concatenate((np.zeros(STANDSTILL), np.tile(wrong, 8)))
-    assert tone(shaken(seed, played, again), MODEL) is None
+    recording = harm(shaken(seed, in_periods(seed, 8), again))
+    assert tone(compare(recording, MODEL, scales=SCALES), MODEL) is None
 
 
 def test_a_floor_that_shakes_is_heard_beside_commands_that_come_again() -> None:
     played = in_periods(52, 8)
     shaking = 4e-4 * np.sin(math.tau * 23.04 * PERIOD_S * np.arange(played.size))
-    heard = tone(shaken(52, played, shaking), MODEL)
+    heard = tone(compare(shaken(52, played, shaking), MODEL, scales=SCALES), MODEL)
     assert heard is not None
     assert heard.frequency_hz == pytest.approx(23.04, abs=0.05)
 
 
+@pytest.mark.parametrize("bias", [0.0, 3.0, 9.0])
 @pytest.mark.parametrize("times", [2, 3, 8])
-def test_the_period_of_commands(times: int) -> None:
-    assert period_of(in_periods(53, times)) == PERIOD
+def test_the_period_of_commands(times: int, bias: float) -> None:
+    """Where some are lost too, and the one before is heard once more."""
+    for seed in range(40):
+        played = in_periods(seed, times)
+        played[STANDSTILL:] += bias
+        assert period_of(played) == PERIOD
+        lost = 1 + np.flatnonzero(np.random.default_rng(seed).random(played.size - 1) < 0.05)
+        heard = played.copy()
+        heard[lost] = played[lost - 1]
+        assert period_of(heard) == PERIOD
 
 
 def test_commands_that_do_not_come_again_have_no_period() -> None:
@@ -171,6 +211,7 @@ def test_commands_that_do_not_come_again_have_no_period() -> None:
     assert period_of(np.repeat(draw.uniform(-4.0, 4.0, 4), 500)) == 0
     assert period_of(np.full(900, 3.0)) == 0
     assert period_of(np.zeros(900)) == 0
+    assert period_of(np.full(900, np.nan)) == 0
 
 
 @pytest.mark.parametrize("seed", [45, 46])

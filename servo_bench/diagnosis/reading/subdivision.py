@@ -99,26 +99,37 @@ def load_lines(comparison: Comparison, model: Model, most: int = 3) -> tuple[Ord
 
 def subdivision(comparison: Comparison, model: Model) -> Subdivision | None:
     """The strongest line's wave, where both halves of the recording have the same one, and what was
-    held out has it too; of all rows, or where that has none of those in which the load rests."""
-    waves = (_told(of(comparison, model), of(comparison, model, True)) for of in (_scale, _at_rest))
-    return next((wave for wave in waves if wave is not None), None)
+    held out does not speak against it; of all rows, or where that has none of those in which the
+    load rests."""
+    for of in (_scale, _at_rest):
+        wave = _told(of(comparison, model))
+        if wave is not None and not _is_denied(wave, of(comparison, model, held_out=True)):
+            return wave
+    return None
 
 
-def _told(scale: _Scale | None, held: _Scale | None) -> Subdivision | None:
-    if scale is None or held is None:
-        return None
-    lines = _lines(scale, 1, NAMED)
-    if not lines:
+def _told(scale: _Scale | None) -> Subdivision | None:
+    lines = _lines(scale, 1, NAMED) if scale is not None else ()
+    if scale is None or not lines:
         return None
     order, half = lines[0].order, scale.angle.size // 2
     wave, deviation = _wave(scale, order)
     first, second = (_wave(scale.part(where), order) for where in (slice(half), slice(half, None)))
     amplitude = float(np.hypot(*wave))
-    alike = _are_alike(first, second) and _are_alike((wave, deviation), _wave(held, order))
     left = _deviation(scale.error - _shape(scale, order) @ wave)
-    if not alike or amplitude < CLEARLY * deviation or left > NOISIER * scale.floor_rad:
+    faint = amplitude < CLEARLY * deviation
+    if not _are_alike(first, second) or faint or left > NOISIER * scale.floor_rad:
         return None
     return Subdivision(order, amplitude, float(np.arctan2(wave[1], wave[0])), deviation)
+
+
+def _is_denied(wave: Subdivision, held: _Scale | None) -> bool:
+    """Whether what was held out has another wave there, or none; few rows of it deny little."""
+    if held is None:
+        return False
+    phase = np.array([np.cos(wave.phase_rad), np.sin(wave.phase_rad)])
+    here = wave.amplitude_rad * phase, wave.standard_error_rad
+    return not _are_alike(here, _wave(held, wave.line_order))
 
 
 def _are_alike(one: tuple[Array, float], other: tuple[Array, float]) -> bool:
@@ -127,12 +138,12 @@ def _are_alike(one: tuple[Array, float], other: tuple[Array, float]) -> bool:
     return apart <= AGREES * float(np.hypot(one[1], other[1]))
 
 
-def _at_rest(comparison: Comparison, model: Model, held_out: bool = False) -> _Scale | None:
+def _at_rest(comparison: Comparison, model: Model, *, held_out: bool = False) -> _Scale | None:
     rests = resting(comparison, model, held_out=held_out, fewest=FEWEST if held_out else REST)
     return None if rests is None else _Scale(rests.angle, rests.error, rests.floor_rad)
 
 
-def _scale(comparison: Comparison, model: Model, held_out: bool = False) -> _Scale | None:
+def _scale(comparison: Comparison, model: Model, *, held_out: bool = False) -> _Scale | None:
     rows, piece = comparison.source.rows, comparison.pieces[0].piece
     if not rows.has("load_angle_rad"):
         return None

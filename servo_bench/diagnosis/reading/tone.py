@@ -18,9 +18,9 @@ LEAST_ABOUT = 0.4
 hole in the error's spectrum, anything stands out of it."""
 AUDIBLE = 0.3
 """Amplitude of such a line, in sensor floors, below which it is nothing to speak of."""
-AGAIN, FALLEN = 0.97, 0.5
-"""Correlation of one period of the commands with the next, which lost ones lower; and what it falls
-below within one."""
+AGAIN, FALLEN, MOST = 0.8, 0.5, 2 / 3
+"""Correlation of one period of the commands with the next, which lost ones lower; what it falls
+below within one; and the longest period, of all that was played."""
 
 
 class Tone(NamedTuple):
@@ -48,7 +48,7 @@ def tone(comparison: Comparison, model: Model) -> Tone | None:
     sigma = max(1.4826 * float(np.median(np.abs(error[known]))), 1e-12)
     quick = np.where(known, error, 0.0)
     quick = np.clip(quick - median_filter(quick, SMOOTH_ROWS), -3.0 * sigma, 3.0 * sigma)
-    quick = _without_repeats(quick, known, _commands(comparison))
+    quick = _without_repeats(quick, known, comparison)
     window = np.hanning(quick.size)
     power = np.abs(np.fft.rfft(quick * window)) ** 2
     about = median_filter(power, 101, mode="nearest") / np.log(2.0)
@@ -64,36 +64,36 @@ def tone(comparison: Comparison, model: Model) -> Tone | None:
     return Tone(frequency, amplitude, float(height[best]))
 
 
-def _commands(comparison: Comparison) -> Array:
-    """At the points' ends; zero where none came."""
-    rows = comparison.source.rows
-    return np.nan_to_num(rows.channel(COMMAND)[comparison.pieces[0].end])
-
-
-def _without_repeats(quick: Array, known: Mask, commands: Array) -> Array:
+def _without_repeats(quick: Array, known: Mask, comparison: Comparison) -> Array:
     """Less the mean of what comes at the same place of every period of the commands."""
-    period = period_of(np.where(known, commands, 0.0))
+    rows = comparison.source.rows
+    slots = np.rint(rows.t_s / rows.period_s).astype(np.int64)
+    sent = np.full(int(slots[-1]) + 1, np.nan)
+    sent[slots[rows.seen]] = rows.channel(COMMAND)[rows.seen]
+    period = period_of(sent)
     if period == 0:
         return quick
-    place = np.arange(quick.size) % period
+    place = slots[comparison.pieces[0].end] % period
     came = np.maximum(np.bincount(place, known, period), 1.0)
     mean = np.bincount(place, np.where(known, quick, 0.0), period) / came
     return np.asarray(np.where(known, quick - mean[place], 0.0))
 
 
 def period_of(commands: Array) -> int:
-    """After how many rows commands come again, for a period and more; 0 where they do not.
+    """After how many slots commands come again, for half a period and more; 0 where they do not.
 
-    By their correlation with themselves, of the stretch from the first to the last that is not 0:
-    it has to fall before it comes back, or whatever is held would repeat.
+    By the correlation with themselves of what differs from their mean, from the first to the last
+    that came and is not 0; NaN where none did. It has to fall before it comes back, or whatever is
+    held would repeat.
     """
-    moving = np.flatnonzero(commands)
+    moving = np.flatnonzero(np.nan_to_num(commands))
     if moving.size == 0:
         return 0
     played = commands[moving[0] : moving[-1] + 1]
+    played = np.nan_to_num(played - np.nanmean(played))
     size = played.size
     power = np.abs(np.fft.rfft(played, 2 * size)) ** 2
-    lags = np.arange(1, size // 2 + 1)
+    lags = np.arange(1, int(MOST * size) + 1)
     energy = np.concatenate(([0.0], np.cumsum(played**2)))
     both = np.sqrt(energy[size - lags] * (energy[size] - energy[lags]))
     alike = np.fft.irfft(power)[lags] / np.maximum(both, 1e-300)

@@ -6,7 +6,7 @@ hypotheses, screening           what can be tried on this rig, and how much of i
 approaching, rounds, contenders where a steep search starts; one round of fits, and who is first
 classes, gate                   what nobody can tell apart; when a cause is beyond chance and large
                                 enough for a name
-readying, accepting, forking     what is known before the first round; who is accepted in each; and
+readying, accepting, forking    what is known before the first round; who is accepted in each; and
                                 where another one might have been
 finding                         all stages in order
 joint, runoff, late, gap        all causes together, and what only all of a recording tells

@@ -123,13 +123,15 @@ def _is_lower(one: Found, other: Found) -> bool:
 
 
 class Accepted(NamedTuple):
-    """Base, causes, what is too small for a name, all rounds, and those after the last cause."""
+    """Base, causes, what is too small for a name, all rounds, those after the last cause, and who
+    was accepted in the first."""
 
     now: Found
     named: list[Named]
     absorbed: list[str]
     rounds: list[Round]
     failed: list[Round]
+    first: Contender | None
 
 
 def one_way(
@@ -139,7 +141,7 @@ def one_way(
     scales: Scales,
     report: Told,
     *,
-    begun: tuple[Round, Contender | None] | None = None,
+    begun: tuple[Round, Contender] | None = None,
 ) -> Accepted:
     """One round after the other.
 
@@ -149,7 +151,7 @@ def one_way(
     `begun`: the first round, and who is accepted of it.
     """
     now, named, absorbed, rounds = base, list[Named](), list[str](), list[Round]()
-    failed, turns, beside = list[Round](), list[set[str]](), base
+    failed, turns, beside, first = list[Round](), list[set[str]](), base, None
     open_, sizes = list(candidates), material_sizes(scales)
     asked = open_
     for number in range(MOST_ROUNDS):
@@ -166,7 +168,7 @@ def one_way(
             (played, accepted), begun = begun, None
         rounds.append(played)
         failed.append(played)
-        two = None
+        first, two = (accepted if number == 0 else first), None
         if accepted is None and not (named or absorbed or turns) and missed > RIGHT:
             two = in_two(quick, played, asked, sizes, told)
         if two is not None:
@@ -195,4 +197,4 @@ def one_way(
         else:
             turns.append({c.effect for c in played.contenders})
             asked = [h for h in asked if h.effect not in turns[-1]]
-    return Accepted(now, named, absorbed, rounds, failed)
+    return Accepted(now, named, absorbed, rounds, failed, first)

@@ -3,7 +3,8 @@
     thinning    of rows in which no command can have changed, one is kept; by the recordings alone
     base        nominal model and its nuisances, fitted on the recording's beginning
     hygiene     lost commands are put right and counted
-    rounds      screen, fit, compete, accept; what is there but too small to matter is absorbed
+    rounds      screen, fit, compete, accept; what is there but too small to matter is absorbed;
+                once more from another beginning, where they lead nowhere (`forking`)
     whole       everything accepted, on all that was recorded, in fine steps; backward deletion;
                 a cause against its near rivals (`runoff`); what only all of it shows (`late`);
                 a cause beside what was as good and changes something else (`unlike`)
@@ -87,7 +88,7 @@ from servo_bench.diagnosis.searching.readying import (
     whole_order,
 )
 from servo_bench.diagnosis.searching.rounds import Told
-from servo_bench.diagnosis.searching.runoff import run_off
+from servo_bench.diagnosis.searching.runoff import couplings_again, run_off
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unlike import beside_the_unlike
@@ -169,7 +170,7 @@ def find_causes(
         without=tuple(without),
         only=tuple(only),
     )
-    now, named, absorbed, rounds, failed = rounds_of(quick, base, candidates, scales, report)
+    now, named, absorbed, rounds, failed, _ = rounds_of(quick, base, candidates, scales, report)
     ready = filled_again(ready, now.model)
     recordings, held_out, lost, told = ready.recordings, ready.held_out, ready.lost, ready.told
     report("joint fit on everything")
@@ -276,7 +277,7 @@ def _coasting_at_last(
 ) -> tuple[Found, Found, list[Named], list[str]]:
     """The final fit, the plain one, causes, and what is too small for a name, with a load that
     coasts where that is so: where nothing was found the fits are the same, and what coasting was
-    asked with is not sought once more. Who takes a coupling's place has to be worth its name.
+    asked with is not sought once more. A coupling faces its rivals there.
     """
     nothing = not (named or absorbed)
     if nothing and is_coasting(final.model):
@@ -284,17 +285,8 @@ def _coasting_at_last(
     else:
         rested = plain if nothing else final
         final = with_coasting(late.whole, rested, to_ask=False, scouted=late.quick)
-    if is_coasting(final.model):
-        had = {n.effect for n in named}
-        final, faced = run_off(late.whole, final, named, late.band, late.report, coasts=True)
-        small = [n for n in faced if n.effect not in had and not is_worth_it(n, final, late.scales)]
-        named, absorbed = _without(faced, small), [*absorbed, *(n.effect for n in small)]
-    return final, final if nothing else plain, named, absorbed
-
-
-def _without(named: Sequence[Named], small: Sequence[Named]) -> list[Named]:
-    effects = {n.effect for n in small}
-    return [n for n in named if n.effect not in effects]
+    final, named, small = couplings_again(late, final, named)
+    return final, final if nothing else plain, named, [*absorbed, *small]
 
 
 def _worth_telling(

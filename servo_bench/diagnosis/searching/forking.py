@@ -9,11 +9,12 @@ it left the simulation right; beside the other one the load coasted, and what wa
 from collections.abc import Sequence
 
 from servo_bench.diagnosis.comparing.evidence import Evidence, block_z
+from servo_bench.diagnosis.comparing.rows import Array
 from servo_bench.diagnosis.searching.accepting import Accepted, one_way
 from servo_bench.diagnosis.searching.coasting import with_coasting
 from servo_bench.diagnosis.searching.contenders import LIKE, RIVAL_Z, Contender, Round, all_costs
 from servo_bench.diagnosis.searching.gate import RIGHT, misfit, passes
-from servo_bench.diagnosis.searching.hypotheses import Hypothesis
+from servo_bench.diagnosis.searching.hypotheses import SPRINGS, VEHICLE, Hypothesis
 from servo_bench.diagnosis.searching.rounds import Told
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found
@@ -28,27 +29,30 @@ def rounds_of(
 ) -> Accepted:
     """The better of two ways, where the first one leaves the simulation wrong and there is another;
     judged beside a load that coasts, where it does."""
-    first = one_way(quick, base, candidates, scales, report)
-    other = fork_of(first.rounds[0]) if first.named else None
-    if other is None:
-        return first
-    here = with_coasting(quick, first.now)
+    one = one_way(quick, base, candidates, scales, report)
+    fork = fork_of(one.rounds[0], one.first) if one.first is not None else None
+    if fork is None:
+        return one
+    here = with_coasting(quick, one.now)
     if float(misfit(quick, here.errors).max()) <= RIGHT:
-        return first
-    report(f"{other.effect} first")
-    second = one_way(quick, base, candidates, scales, report, begun=(first.rounds[0], other))
-    there = with_coasting(quick, second.now)
-    return second if _cost(quick, there, here) < _cost(quick, here, here) else first
+        return one
+    report(f"{fork.effect} first")
+    other = one_way(quick, base, candidates, scales, report, begun=(one.rounds[0], fork))
+    there = with_coasting(quick, other.now)
+    lower = _cost(quick, there, here.sigma) < _cost(quick, here, here.sigma)
+    return other if other.named and lower else one
 
 
-def fork_of(played: Round) -> Contender | None:
-    """Who is no further behind the best one than chance, and changes something else."""
-    best, *others = played.contenders
-    unlike = (c for c in others if played.likeness(best, c) < LIKE and passes(c))
-    return next((c for c in unlike if block_z(best.costs, c.costs) < RIVAL_Z), None)
+def fork_of(played: Round, accepted: Contender) -> Contender | None:
+    """Who is no further behind what was accepted than chance, and changes something else; but for a
+    coupling, whose three numbers fit a part of anything."""
+    able = (c for c in played.contenders if c is not accepted and passes(c))
+    unlike = (c for c in able if played.likeness(accepted, c) < LIKE)
+    firm = (c for c in unlike if c.effect not in SPRINGS - {VEHICLE})
+    return next((c for c in firm if block_z(accepted.costs, c.costs) < RIVAL_Z), None)
 
 
-def _cost(quick: Evidence, end: Found, weighed: Found) -> float:
-    """Seen and held out, weighed by what one of them leaves."""
+def _cost(quick: Evidence, end: Found, sigma: Array) -> float:
+    """Seen and held out."""
     held = quick.held_out([end.model])[0]
-    return float(all_costs(end.errors, held, weighed.sigma).sum())
+    return float(all_costs(end.errors, held, sigma).sum())

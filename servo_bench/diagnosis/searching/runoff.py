@@ -7,8 +7,8 @@ Friction faces the plain one that it refines however far that lay behind: 14 mN 
 called friction that warms, beside an offset and an asymmetry yet to be found, was plain.
 
 A coupling that was found while the load stood in its gap faces whoever was sure in its round, once
-it coasts: three free numbers fit a part of what that does, and of a lag of 0.26 ms one took 32 %
-where the lag took 25.
+it coasts: three free numbers fit a part of what that does. Of a lag of 0.26 ms one took 32 % where
+the lag took 25.
 
 Bristles that came to slide beside what was found after them face what slides: a round found 1.5
 mrad of them while they stood in for a load's friction too, and the joint fit 2 urad.
@@ -21,10 +21,12 @@ import numpy as np
 
 from servo_bench.diagnosis.comparing.evidence import Evidence
 from servo_bench.diagnosis.searching.classes import class_of, siblings_of
+from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting
 from servo_bench.diagnosis.searching.contenders import REFINES, SLIDING_RAD, Contender, faced
 from servo_bench.diagnosis.searching.gate import is_sure, strength_of, together
 from servo_bench.diagnosis.searching.hypotheses import SPRINGS, VEHICLE, Hypothesis
-from servo_bench.diagnosis.searching.joint import Named, fit_jointly, own_unknowns
+from servo_bench.diagnosis.searching.joint import Named, fit_jointly, own_unknowns, worth_a_name
+from servo_bench.diagnosis.searching.late import Late
 from servo_bench.diagnosis.searching.rounds import Told
 from servo_bench.diagnosis.searching.seeking import Found, seek, settle
 from servo_bench.diagnosis.searching.unknowns import Unknown, merged, widened
@@ -33,6 +35,7 @@ from sim_rig.effects import find_effect
 from sim_rig.errors import SimRigError
 from sim_rig.model import Model
 
+COUPLING = SPRINGS - {VEHICLE}
 HARDLY_SURE = 8.0
 """Beyond chance, seen and held out together, on a recording's beginning: uneven friction stood at
 4.2 and 4.7 there, four ahead of the next."""
@@ -90,6 +93,25 @@ def run_off(
     return (final, kept) if now is final else fit_jointly(whole, now, kept, band, report)
 
 
+def couplings_again(
+    late: Late, final: Found, named: Sequence[Named]
+) -> tuple[Found, list[Named], list[str]]:
+    """The joint fit, its causes, and what is too small for a name, once the load coasts: a coupling
+    that was found before faces its rivals. Who faced others has to be worth its name there; where
+    the rig's file has one already, nobody knows what a rig without it does.
+    """
+    if not is_coasting(final.model) or COUPLING & dict(late.scales.believed).keys():
+        return final, list(named), []
+    before = {n.effect: n.round for n in named}
+    final, faced = run_off(late.whole, final, named, late.band, late.report, coasts=True)
+    worth = {
+        n.effect: (n,) if before.get(n.effect) is n.round else worth_a_name(n, final, late.scales)
+        for n in faced
+    }
+    small = [effect for effect, names in worth.items() if not names]
+    return final, [n for names in worth.values() for n in names], small
+
+
 def brought_by(one: Named, contender: Contender) -> frozenset[str]:
     """What came with a contender of a cause's round: what carries it, and what it carries."""
     usual = {u.effect for u in one.round.base.unknowns}
@@ -100,20 +122,26 @@ def brought_by(one: Named, contender: Contender) -> frozenset[str]:
 
 def _near_ones(one: Named, named: Sequence[Named]) -> list[Contender]:
     """Near ones that could be told from the cause, or from it where the shaft rests, and the plain
-    friction that it refines, none of them named themselves; all, where the beginning was hardly
-    sure of the cause itself."""
+    friction that it refines, none of them named themselves; all that gained, but
+    for couplings, where the beginning was hardly sure of the cause itself."""
     near = {c.effect for c in one.round.near(one.contender)} | siblings_of(one.effect)
     near.add(REFINES.get(one.effect, ""))
     if together(one.contender) < HARDLY_SURE:
-        near |= {c.effect for c in one.round.contenders if c.effect != one.effect}
+        near |= {c.effect for c in one.round.contenders if c.effect not in COUPLING and _gains(c)}
     return _rivals(one, named, near)
 
 
 def _sure_ones(one: Named, named: Sequence[Named]) -> list[Contender]:
-    """Of a coupling all that were sure beside it."""
-    if one.effect not in SPRINGS - {VEHICLE}:
+    """Of a coupling that was found while the load stood, all that were sure beside it, and give the
+    load no motion of its own."""
+    if one.effect not in COUPLING or is_coasting(one.round.base.model):
         return []
-    return _rivals(one, named, {c.effect for c in one.round.contenders if is_sure(c)})
+    sure = {c.effect for c in one.round.contenders if is_sure(c)}
+    return _rivals(one, named, sure - OTHERWISE)
+
+
+def _gains(contender: Contender) -> bool:
+    return contender.held_gain > 0.0
 
 
 def _rivals(one: Named, named: Sequence[Named], asked: Collection[str]) -> list[Contender]:

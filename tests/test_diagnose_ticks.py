@@ -71,6 +71,23 @@ def test_between_two_ticks_a_current_shows_a_part_of_every_jump() -> None:
     assert crosses > 5.0 * seen.allowed[current] > 20.0 * other
 
 
+def test_every_step_of_the_staircase_stays_in_the_slow_velocities() -> None:
+    """Seconds apart, and each with the speed of the command that it comes in: drawn at random."""
+    draw = np.random.default_rng(SEED)
+    played = np.concatenate((np.zeros(STANDSTILL), draw.choice([-6.0, 6.0], 5000)))
+    seen = evidence_of([recorded(MODEL, SEED, played=played)], MODEL, block="loop")
+    late = WALKING_FAR.with_effect("transport_delay", delay_s=5e-4)
+    found = dict(zip(seen.names, ticks(seen, late), strict=True))
+    rows = 216
+    times = draw.uniform(0.0, 4000.0, round(4000.0 * 5e-5 / COARSE_S))
+    ahead = draw.choice([-6.0, 6.0], times.size) * COARSE_S
+    angle = np.bincount((times / PERIOD_S).astype(int), ahead, round(4000.0 / PERIOD_S)).cumsum()
+    means = angle[: angle.size // rows * rows].reshape(-1, rows).mean(axis=1)
+    wanted = float(np.sqrt(np.mean((np.diff(means) / (rows * PERIOD_S)) ** 2)))
+    assert wanted > 0.5 * seen.allowed[list(seen.names).index("motor velocity over 1728 ms")]
+    assert found["motor velocity over 1728 ms"] == pytest.approx(wanted, rel=0.15)
+
+
 @pytest.mark.parametrize(("seed", "seconds"), [(871005, 44.0), (871011, 16.0)])
 @pytest.mark.long
 def test_a_clock_that_walks_past_a_few_ticks_is_named(seed: int, seconds: float) -> None:

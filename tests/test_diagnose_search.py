@@ -107,6 +107,8 @@ def test_a_spring_is_no_cause_where_nothing_is_wrong() -> None:
     assert not is_noted("coupling_compliance", np.array([0.33, 0.1]))
     assert is_noted("coupling_compliance", np.array([0.1, 0.91]))
     assert is_noted("encoder_eccentricity", np.array([0.1, 0.1]))
+    assert not is_noted("contact", np.array([0.55, 0.1])), "every rig has a light load"
+    assert is_noted("contact", np.array([0.1, 0.91]))
 
 
 @pytest.mark.parametrize(

@@ -11,47 +11,35 @@ from servo_bench.diagnosis.searching.accepting import Accepted, one_way
 from servo_bench.diagnosis.searching.contenders import Contender, Round, faced
 from servo_bench.diagnosis.searching.finding import nothing_told
 from servo_bench.diagnosis.searching.forking import fork_of, rounds_of
-from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Trial
 from servo_bench.diagnosis.searching.joint import Named, own_unknowns
 from servo_bench.diagnosis.searching.scales import scales_of
-from servo_bench.diagnosis.searching.seeking import Found, seek
-from servo_bench.diagnosis.searching.unknowns import merged, nuisances, widened
-from sim_rig.model import Model
-from tests.fit_recordings import NOMINAL, recorded
+from servo_bench.diagnosis.searching.seeking import seek
+from tests.fit_hypotheses import BAND, DELAY, LAG, LINE, MODEL, fitted, rig
+from tests.fit_recordings import recorded
 
-MODEL = Model(NOMINAL)
-BAND = nuisances(0.05, NOMINAL.backlash_gap_rad)
-LAG, DELAY, LINE = "current_loop_lag", "transport_delay", "cogging"
 SIZES = {
     LAG: {"lag_s": 6e-4},
     DELAY: {"delay_s": 6e-4},
     LINE: {"torque_nm": 4e-3, "order": 24.0, "phase_rad": 0.4},
 }
-FREE = {LAG: ("lag_s",), DELAY: ("delay_s",), LINE: ("torque_nm", "phase_rad")}
-HIDDEN = MODEL.with_effect(LAG, **SIZES[LAG]).with_effect(LINE, **SIZES[LINE])
+"""Of which either is beyond chance beside neither."""
 
 
 @pytest.fixture(scope="module")
 def seen() -> Evidence:
     """Of a rig with a lag and a line, which change different things."""
-    return evidence_of([recorded(HIDDEN, 91, slots=900)], MODEL, block="loop")
+    return evidence_of([recorded(rig(LAG, LINE, sizes=SIZES), 91, slots=900)], MODEL, block="loop")
 
 
 @pytest.fixture(scope="module")
 def played(seen: Evidence) -> Round:
-    return faced(seen, seek(seen, MODEL, BAND, iterations=3), [fitted(seen, e) for e in SIZES])
+    base = seek(seen, MODEL, BAND, iterations=3)
+    return faced(seen, base, [fitted(seen, effect, SIZES) for effect in SIZES])
 
 
 @pytest.fixture
 def walked(seen: Evidence, played: Round) -> tuple[Evidence, Round]:
     return seen, played
-
-
-def fitted(seen: Evidence, effect: str) -> tuple[Found, Hypothesis]:
-    start, size = MODEL.with_effect(effect, **SIZES[effect]), next(iter(SIZES[effect].values()))
-    own = widened(effect, FREE[effect], start, size)
-    hypothesis = Hypothesis(effect, (Trial(effect, dict(SIZES[effect]), size),), FREE[effect])
-    return seek(seen, start, merged(BAND, own), iterations=3), hypothesis
 
 
 def told(played: Round, *effects: str, apart: float = 0.0) -> Round:
@@ -137,10 +125,8 @@ def test_the_better_way_is_taken_and_a_right_one_at_once(
 
 def _end(seen: Evidence, played: Round, effects: tuple[str, ...]) -> Accepted:
     """Of a way that found these."""
-    model = MODEL
-    for effect in effects:
-        model = model.with_effect(effect, **SIZES[effect])
     free = tuple(u for u in BAND if u.effect not in SIZES)
-    end, one = seek(seen, model, free, played.sigma, iterations=2), played.contenders[0]
+    end = seek(seen, rig(*effects, sizes=SIZES), free, played.sigma, iterations=2)
+    one = played.contenders[0]
     names = [Named(effect, played, one, own_unknowns(one, effect)) for effect in effects]
     return Accepted(end, names, [], [played], [], one)

@@ -11,43 +11,15 @@ from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.judging.causes import cause_of
 from servo_bench.diagnosis.judging.judgement import UNSURE
 from servo_bench.diagnosis.searching.contenders import Contender, Round, faced
-from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Trial
 from servo_bench.diagnosis.searching.joint import Named, own_unknowns
 from servo_bench.diagnosis.searching.late import Late
 from servo_bench.diagnosis.searching.rounds import Told
 from servo_bench.diagnosis.searching.scales import scales_of
-from servo_bench.diagnosis.searching.seeking import Found, seek
-from servo_bench.diagnosis.searching.unknowns import merged, nuisances, widened
+from servo_bench.diagnosis.searching.seeking import seek
 from servo_bench.diagnosis.searching.unlike import beside_the_unlike
 from servo_bench.report.diagnosis_page import _evidence_words
-from sim_rig.model import Model
-from tests.fit_recordings import NOMINAL, recorded
-
-MODEL = Model(NOMINAL)
-BAND = nuisances(0.05, NOMINAL.backlash_gap_rad)
-LAG, LINE, DELAY = "current_loop_lag", "cogging", "transport_delay"
-SIZES = {
-    LAG: {"lag_s": 4e-4},
-    DELAY: {"delay_s": 4e-4},
-    LINE: {"torque_nm": 3e-3, "order": 24.0, "phase_rad": 0.4},
-}
-FREE = {LAG: ("lag_s",), DELAY: ("delay_s",), LINE: ("torque_nm", "phase_rad")}
-
-
-def rig(*effects: str) -> Model:
-    """With these wrong."""
-    model = MODEL
-    for effect in effects:
-        model = model.with_effect(effect, **SIZES[effect])
-    return model
-
-
-def fitted(seen: Evidence, effect: str) -> tuple[Found, Hypothesis]:
-    """The search of a hypothesis from its true size."""
-    start, size = rig(effect), next(iter(SIZES[effect].values()))
-    own = widened(effect, FREE[effect], start, size)
-    hypothesis = Hypothesis(effect, (Trial(effect, dict(SIZES[effect]), size),), FREE[effect])
-    return seek(seen, start, merged(BAND, own), iterations=3), hypothesis
+from tests.fit_hypotheses import BAND, DELAY, LAG, LINE, MODEL, SIZES, fitted, rig
+from tests.fit_recordings import recorded
 
 
 def doubted(seen: Evidence, effect: str, *rivals: str) -> Named:

@@ -122,8 +122,8 @@ def brought_by(one: Named, contender: Contender) -> frozenset[str]:
 
 def _near_ones(one: Named, named: Sequence[Named]) -> list[Contender]:
     """Near ones that could be told from the cause, or from it where the shaft rests, and the plain
-    friction that it refines, none of them named themselves; all that gained, but
-    for couplings, where the beginning was hardly sure of the cause itself."""
+    friction that it refines, none of them named themselves; all that gained, but for couplings,
+    where the beginning was hardly sure of the cause itself."""
     near = {c.effect for c in one.round.near(one.contender)} | siblings_of(one.effect)
     near.add(REFINES.get(one.effect, ""))
     if together(one.contender) < HARDLY_SURE:

@@ -496,3 +496,21 @@ def test_friction_that_warms_is_plain_friction_that_takes_nearly_as_much(
     )
     played: Any = SimpleNamespace(contenders=contenders, base_costs=np.array([40.0, 60.0]))
     assert [c.effect for c in no_plainer(played)] == kept
+
+
+@pytest.mark.parametrize(
+    ("ranked", "foremost"),
+    [
+        (("coulomb", "cogging", "stribeck", "viscous"), ("coulomb", "cogging", "stribeck")),
+        (
+            ("coulomb", "pre_sliding", "thermal_friction", "stribeck", "load_friction", "viscous"),
+            ("coulomb", "pre_sliding", "thermal_friction", "load_friction"),
+        ),
+        (("pre_sliding", "coulomb"), ("pre_sliding", "coulomb")),
+    ],
+)
+def test_one_law_and_its_refinements_do_not_take_every_place(
+    ranked: Sequence[str], foremost: Sequence[str]
+) -> None:
+    pairs: Any = [(SimpleNamespace(hypothesis=SimpleNamespace(effect=e)), None) for e in ranked]
+    assert [one.hypothesis.effect for one, _ in rounds._foremost(pairs)] == list(foremost)

@@ -31,8 +31,8 @@ from sim_rig.effects import find_effect
 from sim_rig.errors import EffectError, SimRigError
 from sim_rig.model import Model
 
-FITTED = 4
-"""Hypotheses that are fitted in a round, at most."""
+FITTED, FOREMOST = 4, 3
+"""Hypotheses that are fitted in a round, at most; and that are sought to their ends."""
 WORTH = 0.15
 """Screened gain, as a share of the best one's, below which nothing is fitted."""
 LEAST_GAIN = 0.001
@@ -100,16 +100,30 @@ def play_round(
     sigma = quick.deviation(best.errors)
     told("comparing")
     ranked = sorted(first, key=lambda pair: pair[1].cost)
-    near = ranked[:3]
+    near = _foremost(ranked)
     beside = _plain([one for one, _ in near])
     beside |= _siblings([one for one, _ in near])
-    near += [pair for pair in ranked[3:] if pair[0].hypothesis.effect in beside]
+    near += [pair for pair in ranked if pair[0].hypothesis.effect in beside]
     again = [(one, _again(quick, one, f, sigma)) for one, f in near]
     without = [m for one, f in again if (m := _less(f.model, _not_the_base_s(base, one)))]
     cold = base if settled else _sought(quick, base, sigma)
     rested = _rested(quick, cold, sigma, without)
     ends = [(gone_on(quick, rested, f, _own(one)), one.hypothesis) for one, f in again]
     return faced(quick, rested, ends, screened, sigma=sigma)
+
+
+def _foremost(ranked: Sequence[tuple[Screened, Found]]) -> list[tuple[Screened, Found]]:
+    """The first three; and where those are one law and what refines it, the first other one: a
+    load's friction had no place behind the plain, the sliding and the warming one."""
+    near = list(ranked[:FOREMOST])
+    laws = {_law(one) for one, _ in near}
+    if len(laws) == 1:
+        near += [pair for pair in ranked[FOREMOST:] if _law(pair[0]) not in laws][:1]
+    return near
+
+
+def _law(one: Screened) -> str:
+    return REFINES.get(one.hypothesis.effect, one.hypothesis.effect)
 
 
 def _plain(found: Sequence[Screened]) -> set[str]:

@@ -155,6 +155,13 @@ def _without(recording: Recording, *names: str) -> Recording:
     return replace(recording, channels=kept)
 
 
+def _effort_left_at_zero(recording: Recording) -> Recording:
+    """As a servo logs that has the register and never fills it."""
+    driven = _without(recording, "velocity_command_rad_s")
+    empty = np.zeros_like(recording["motor_torque_nm"])
+    return replace(driven, channels={**driven.channels, "motor_torque_nm": empty})
+
+
 def _standing(recording: Recording) -> Recording:
     still = {
         name: np.zeros_like(values) if name.endswith(("_rad", "_rad_s")) else values
@@ -168,6 +175,7 @@ def _standing(recording: Recording) -> Recording:
     [
         (lambda r: _without(r, "load_angle_rad", "motor_position_rad"), "load_angle_rad"),
         (lambda r: _without(r, "velocity_command_rad_s", "motor_torque_nm"), "command"),
+        (_effort_left_at_zero, "motor_torque_nm never changed"),
         (_standing, "stayed at zero"),
     ],
 )
@@ -180,6 +188,14 @@ def test_what_cannot_be_decided_is_said_and_which_run_would(
     assert any(told in sentence for sentence in verdict.undecided)
     assert "design diagnosis" in verdict.next_run
     assert "nothing can be fitted" in diagnosis_report(verdict, None, None, recording)
+
+
+def test_short_recordings_are_as_long_as_all_of_them(handed: Handed) -> None:
+    short = load(handed.seen)
+    short = replace(short, channels={n: v[:700] for n, v in short.channels.items()})
+    alone, both = (undecided(FitError("no"), [short] * count) for count in (1, 2))
+    assert any("5.6 s were recorded" in sentence for sentence in alone.undecided)
+    assert not any("were recorded" in sentence for sentence in both.undecided)
 
 
 def test_data_of_another_bench_are_judged_by_a_model_of_five_numbers(tmp_path: Path) -> None:

@@ -96,7 +96,7 @@ def _listed(names: Sequence[str]) -> str:
 def undecided(error: Exception, recordings: Sequence[Recording]) -> Verdict:
     """The verdict "unknown" of data that were read and cannot be judged, in the failure's words."""
     first = recordings[0]
-    lacks = tuple(_lacking(first))
+    lacks = tuple(_lacking(recordings))
     why = lacks[0] if lacks else _sentence(error)
     return Verdict(
         verdict="unknown",
@@ -112,26 +112,41 @@ def _sentence(error: Exception) -> str:
     return text if text.endswith(".") else f"{text}."
 
 
-def _lacking(recording: Recording) -> Iterator[str]:
-    """What every diagnosis needs, and this recording has not."""
-    there = _signals(recording)
-    if not _came(recording, COMMAND, *EFFORTS, "voltage_v", "position_command_rad"):
+def _lacking(recordings: Sequence[Recording]) -> Iterator[str]:
+    """What every diagnosis needs, and these recordings have not."""
+    first = recordings[0]
+    there = _signals(first)
+    driving = _came(first, COMMAND, "position_command_rad", *EFFORTS, "voltage_v")
+    if not driving:
         yield (
             "Neither a velocity command nor a current, torque or voltage was recorded: what moved "
             "the rig is not known, so no model can be played beside it. Record "
             "velocity_command_rad_s."
+        )
+    efforts = [name for name in driving if name in (*EFFORTS, "voltage_v")]
+    if COMMAND not in driving and efforts and not _changes(recordings, efforts):
+        yield (
+            f"{_listed(efforts)} never changed while the motor did: what moved it is not known. "
+            "Log the channel that holds it, or mend the map."
         )
     if not set(ANGLES) & set(there):
         yield (
             "Neither the motor's nor the load's angle was recorded: there is nothing to compare a "
             "simulation with. Record load_angle_rad, and motor_position_rad where the drive has it."
         )
-    duration_s = len(recording) * recording.period_s
+    duration_s = sum(len(recording) * recording.period_s for recording in recordings)
     if duration_s < ENOUGH_S:
         yield (
             f"{duration_s:.1f} s were recorded: of so little no part can be held out to judge. "
             "Record 40 s or more."
         )
+
+
+def _changes(recordings: Sequence[Recording], names: Sequence[str]) -> bool:
+    """Whether any of these took a second value anywhere."""
+    there = [one[name] for one in recordings for name in names if name in one]
+    every = [np.asarray(values, np.float64) for values in there]
+    return any(np.unique(values[np.isfinite(values)]).size > 1 for values in every)
 
 
 def open_questions(recording: Recording) -> Iterator[str]:

@@ -131,6 +131,18 @@ def test_friction_of_a_known_motor_is_found_in_amperes_and_absent_where_there_is
     assert "coulomb" not in diagnose_open([spun(driven(1), 0.0, 2)], only=TARGETED).names
 
 
+def test_a_constant_that_nobody_can_place_is_told_with_its_size() -> None:
+    """A sensor's offset turns the motor as a load does: no cause, and more than nothing."""
+    recording = spun(driven(1), 0.15, 2)
+    shifted = {**recording.channels, "current_a": recording["current_a"] - 0.05}
+    told = diagnose_open([replace(recording, channels=shifted)], only=TARGETED)
+    (constant,) = (words for words in told.undecided if "constant" in words)
+    assert float(constant.split("constant ")[1].split()[0]) == pytest.approx(0.05, rel=0.1)
+    assert " A beside the effort" in constant
+    even = diagnose_open([recording], only=TARGETED)
+    assert not any("constant" in words for words in even.undecided)
+
+
 def by_its_angle(recording: Recording, seed: int) -> Recording:
     """Without its velocity, and an angle with the noise of a coarse encoder."""
     rough = np.random.default_rng(seed).normal(size=len(recording))

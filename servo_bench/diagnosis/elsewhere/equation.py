@@ -159,6 +159,13 @@ def error_of(found: Design, number: int, coefficients: Array, spread: Array, alo
     return float(np.sqrt(max(float(slope @ spread[np.ix_(at, at)] @ slope), 0.0)))
 
 
+def offset_of(found: Design, coefficients: Array, spread: Array) -> tuple[float, float]:
+    """What is constant beside the effort, in its unit, and its standard error."""
+    size = found.in_effort(coefficients)[1:2]
+    slope = found.gradient(np.ones(1), size, coefficients)
+    return float(size[0]), float(np.sqrt(max(float(slope @ spread[:2, :2] @ slope), 0.0)))
+
+
 def usual_torques(rows: WeakRows, *, inverse: bool = False) -> Array:
     """What effort, speed, friction and a weight may make, whatever of it is there."""
     return np.stack(

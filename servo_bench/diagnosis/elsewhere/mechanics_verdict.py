@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from servo_bench.diagnosis.elsewhere import gate
-from servo_bench.diagnosis.elsewhere.equation import error_of, size_of
+from servo_bench.diagnosis.elsewhere.equation import error_of, offset_of, size_of
 from servo_bench.diagnosis.elsewhere.mechanics import MechanicsFinding, signal_of
 from servo_bench.diagnosis.elsewhere.selection import Step
 from servo_bench.diagnosis.fitting.free import unit_of
@@ -161,9 +161,23 @@ def _notes(found: MechanicsFinding) -> Iterator[str]:
 def _undecided(found: MechanicsFinding, *, quiet: bool) -> tuple[str, ...]:
     if quiet:
         return ("Whatever needs an acceleration to show.",)
+    told = tuple(_of_a_constant(found))
     if found.inverse:
-        return ("Whatever goes with the effort itself: K_T, its ripple, friction under load.",)
-    return ()
+        told += ("Whatever goes with the effort itself: K_T, its ripple, friction under load.",)
+    return told
+
+
+def _of_a_constant(found: MechanicsFinding) -> Iterator[str]:
+    """Of one as large as a cause would have to be, and as sure."""
+    chosen = found.selected
+    size, error = offset_of(chosen.design, chosen.coefficients, found.covariance)
+    effort = float(np.std(chosen.design.rows.column(lambda s: s.effort)))
+    if abs(size) > max(gate.SURE * error, gate.MATERIAL * effort):
+        unit = signal_of(found.effort)[1]
+        yield (
+            f"What the constant {size:.3g} ± {error:.1g} {unit} beside the effort is: its sensor's "
+            "offset, a load's torque, or friction that differs by direction."
+        )
 
 
 def _further_lines(found: MechanicsFinding) -> Iterator[str]:

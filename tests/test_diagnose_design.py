@@ -67,6 +67,27 @@ def test_the_best_has_the_best_worst_pair_and_hopeless_pairs_do_not_count() -> N
     assert Separation(one, {}, (hopeless, Pair("a", "b", 5.0))).split_in_a_minute == 1
 
 
+def test_a_pair_that_one_candidate_shows_by_accident_does_not_decide() -> None:
+    """A deadband is seen where a bias is as small; the others tell all the rest."""
+    one, other = GRID[:2]
+    names = ("b", "c", "d", "e")
+    lucky = Separation(one, {}, (Pair("a", "z", 1.5), *(Pair("a", n, 1.6) for n in names)))
+    useful = Separation(other, {}, (Pair("a", "z", 0.0), *(Pair("a", n, 6.0) for n in names)))
+    best, second = ranked([lucky, useful])
+    assert best.plan == other
+    assert (best.told, second.told) == pytest.approx((0.8, (1.5 + 4 * 1.6) / 25.0))
+
+
+def test_a_rig_without_a_gap_is_not_limited_to_what_a_gap_asks_for() -> None:
+    rig = load_rig(RIG)
+    solid = {"nominal": rig.nominal.model_copy(update={"backlash_gap_rad": 0.0})}
+    wide = {"limits": rig.limits.model_copy(update={"velocity_rad_s": 12.0, "travel_rad": 80.0})}
+    grid = candidates(rig.model_copy(update=solid | wide), RIG, MINUTES, PERIOD_S)
+    largest = max(plan.amplitude_rad_s for plan in grid)
+    assert largest > 0.4 * 12.0
+    assert min(plan.amplitude_rad_s for plan in grid) < 0.3 * largest
+
+
 def test_limits_that_leave_no_room_are_told() -> None:
     rig = load_rig(RIG)
     tight = rig.model_copy(update={"limits": rig.limits.model_copy(update={"travel_rad": 0.01})})

@@ -120,7 +120,7 @@ def ambiguous_pairs(verdict: Verdict) -> frozenset[frozenset[str]]:
 def _show(ranking: Sequence[Separation]) -> None:
     console = Console()
     table = Table("excitation", show_edge=False)
-    for column in ("rad/s", "bias", "σ/√min", "min to 5 σ"):
+    for column in ("rad/s", "bias", "told", "σ/√min", "min to 5 σ"):
         table.add_column(column, justify="right")
     table.add_column("worst pair")
     for one in ranking:
@@ -129,6 +129,7 @@ def _show(ranking: Sequence[Separation]) -> None:
             one.plan.words,
             f"{one.plan.amplitude_rad_s:.3g}",
             f"{one.plan.bias_rad_s:.3g}",
+            f"{100.0 * one.told:.0f} %",
             f"{one.worst:.3g}",
             f"{one.minutes_to_split:.2g}",
             worst,

@@ -1,7 +1,8 @@
 """Experiments that could be played for a diagnosis: a small grid inside a rig's limits.
 
     levels        five levels (GF(5)), or one M-sequence at three amplitudes
-    amplitude     the largest that limits and gap ask for, and two thirds of it
+    amplitude     what crosses the gap twice a period, two thirds of it, and what the velocity limit
+                  allows where that is more; without a gap that, a half and a quarter of it
     bias          as much as the travel allows, up to 1 rad/s, or none: full turns of the shaft
     dwell         a command for one period, or for three: what happens long after a change
 
@@ -15,6 +16,7 @@ every candidate is played on the rig's model, and made smaller until the motion 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -42,7 +44,10 @@ SHRINKINGS, SMALLEST_RAD_S = 4, 0.01
 CROSSINGS = 2.0
 """Gaps that the largest command crosses in a period."""
 SLOWEST_RAD_S, FASTEST_RAD_S, MOST_BIAS_RAD_S = 1.0, 6.0, 1.0
-AMPLITUDES, BIASES, DWELLS = (1.0, 2.0 / 3.0), (1.0, 0.0), (1, 3)
+AMPLITUDES, AMPLITUDES_WITHOUT_GAP = (1.0, 2.0 / 3.0), (1.0, 0.5, 0.25)
+BIASES, DWELLS = (1.0, 0.0), (1, 3)
+FASTER = 1.5
+"""Of the gap's amplitude: what is less is no other candidate."""
 IDENTIFIED, LONGEST_MEMORY, LONGEST_LEAD_IN, STANDSTILL_S = 0.75, 18, 256, 2.0
 SHARES = (1.0, 2.0 / 3.0, 1.0 / 3.0)
 VALIDATION_SHARE, VALIDATION_SEED = 0.85, 11
@@ -80,8 +85,7 @@ def candidates(rig: RigConfig, rig_name: str, minutes: float, period_s: float) -
             f"{minutes:g} minutes are longer than the rig's limits.run_time_s = "
             f"{rig.limits.run_time_s:g}. Give fewer --minutes."
         )
-    largest = _largest_rad_s(rig, period_s)
-    found = tuple(_grid(rig, rig_name, slots, period_s, largest))
+    found = tuple(_grid(rig, rig_name, slots, period_s))
     if not found:
         limits = rig.limits
         torque = "" if limits.torque_nm is None else f", limits.torque_nm = {limits.torque_nm:g}"
@@ -94,33 +98,33 @@ def candidates(rig: RigConfig, rig_name: str, minutes: float, period_s: float) -
     return found
 
 
-def _largest_rad_s(rig: RigConfig, period_s: float) -> float:
-    """By the gap, within the velocity limit."""
-    wanted = CROSSINGS * rig.nominal.backlash_gap_rad / max(period_s, 1e-9)
-    wanted = min(max(wanted, SLOWEST_RAD_S), FASTEST_RAD_S)
-    return min(wanted, MARGIN * rig.limits.velocity_rad_s)
+def _amplitudes_rad_s(rig: RigConfig, period_s: float) -> tuple[float, ...]:
+    """The largest first. A gap and friction show where little is asked of the motor, and what
+    saturates where much is: which counts is what `separation` tells."""
+    fastest = MARGIN * rig.limits.velocity_rad_s
+    gap_rad = rig.nominal.backlash_gap_rad
+    if not gap_rad > 0.0:
+        return tuple(share * fastest for share in AMPLITUDES_WITHOUT_GAP)
+    wanted = min(max(CROSSINGS * gap_rad / period_s, SLOWEST_RAD_S), FASTEST_RAD_S, fastest)
+    faster = (fastest,) if fastest > FASTER * wanted else ()
+    return (*faster, *(share * wanted for share in AMPLITUDES))
 
 
-def _grid(
-    rig: RigConfig, rig_name: str, slots: int, period_s: float, largest: float
-) -> Iterator[Plan]:
+def _grid(rig: RigConfig, rig_name: str, slots: int, period_s: float) -> Iterator[Plan]:
     every: tuple[Levels, ...] = ("five levels", "three amplitudes")
     seen: set[tuple[object, ...]] = set()
-    for levels in every:
-        for dwell in DWELLS:
-            for part in BIASES:
-                amplitude = largest
-                for share in AMPLITUDES:
-                    plan = _fitted(
-                        rig, rig_name, levels, dwell, share * amplitude, part, slots, period_s
-                    )
-                    if plan is None:
-                        continue
-                    amplitude = min(amplitude, plan.amplitude_rad_s / share)
-                    key = (levels, dwell, plan.amplitude_rad_s, plan.bias_rad_s)
-                    if key not in seen:
-                        seen.add(key)
-                        yield plan
+    for levels, dwell, part in product(every, DWELLS, BIASES):
+        allowed = 1.0  # of what was wanted, by the motion at the amplitude before
+        for wanted in _amplitudes_rad_s(rig, period_s):
+            amplitude = allowed * wanted
+            plan = _fitted(rig, rig_name, levels, dwell, amplitude, part, slots, period_s)
+            if plan is None:
+                continue
+            allowed = plan.amplitude_rad_s / wanted
+            key = (levels, dwell, plan.amplitude_rad_s, plan.bias_rad_s)
+            if key not in seen:
+                seen.add(key)
+                yield plan
 
 
 def _fitted(  # noqa: PLR0917 - the grid's axes
@@ -137,7 +141,7 @@ def _fitted(  # noqa: PLR0917 - the grid's axes
     bias = part * min(MOST_BIAS_RAD_S, 0.5 * amplitude)
     tries = [bias * 0.5**k for k in range(HALVINGS)] if bias else [0.0]
     for one in tries:
-        size = amplitude
+        size = min(amplitude, MARGIN * rig.limits.velocity_rad_s - one)
         for _ in range(SHRINKINGS):
             plan = _plan(rig_name, levels, dwell, size, round(one, 4), slots, period_s)
             schedule = plan.experiment.schedule()

@@ -8,9 +8,11 @@ bands is taken out (P), and what the rival could at its own best size:
     seen       |(1 - P) t_i|
     apart      |(1 - P) t_i| sqrt(1 - c_ij^2),     c_ij the cosine of the projected templates
 
-An experiment is as good as its worst confusable pair; both grow with the square root of its length,
-so they are given per sqrt(minute). Classes that nothing on these channels splits (see `classes`)
-are not counted as pairs.
+Both grow with the square root of an experiment's length, so they are given per sqrt(minute). An
+experiment is as good as the confusable pairs that it tells in a minute: each counts by its share of
+five standard deviations, at most as one. (By the worst pair alone one cause decides that is seen by
+accident: a deadband, where a bias is as small.) Classes that nothing on these channels splits (see
+`classes`) are not counted as pairs.
 """
 
 import math
@@ -44,6 +46,8 @@ ORDERS = (6.0, 24.0)
 NOISE_SEED = 7
 SURE = 5.0
 """Standard deviations at which a pair counts as split."""
+ALIKE = 0.05
+"""Shares of the pairs that are told: what lies as near is equal."""
 LEAST_SEEN = 1.0
 """Per sqrt(minute): what cannot be seen at all is told as such and not as a confusion."""
 
@@ -66,8 +70,14 @@ class Separation:
 
     @property
     def worst(self) -> float:
-        """The experiment's figure, per sqrt(minute); 0 where it tells no pair."""
+        """Of the worst pair, per sqrt(minute); 0 where it tells no pair."""
         return self.pairs[0].apart if self.pairs else min(self.seen.values(), default=0.0)
+
+    @property
+    def told(self) -> float:
+        """The experiment's figure: the share of its pairs that a minute tells, 0 to 1."""
+        counted = self.pairs or (Pair("", "", self.worst),)
+        return float(np.mean([min(pair.apart / SURE, 1.0) for pair in counted]))
 
     @property
     def unseen(self) -> tuple[str, ...]:
@@ -86,7 +96,8 @@ class Separation:
 
 
 def ranked(found: Sequence[Separation]) -> tuple[Separation, ...]:
-    """Best first, by their worst pair; pairs that none of them splits are left out of all."""
+    """Best first, by what they tell, and of equals by their worst pair; pairs that none of them
+    splits are left out of all."""
     best: dict[tuple[str, str], float] = {}
     for one in found:
         for pair in one.pairs:
@@ -99,7 +110,7 @@ def ranked(found: Sequence[Separation]) -> tuple[Separation, ...]:
         )
         for one in found
     ]
-    return tuple(sorted(counted, key=lambda one: -one.worst))
+    return tuple(sorted(counted, key=lambda one: (-round(one.told / ALIKE), -one.worst)))
 
 
 def separation(

@@ -14,6 +14,7 @@ from servo_bench.diagnosis.fitting.fit import fit
 from servo_bench.diagnosis.fitting.free import UNITS, free_parameters, unit_of
 from servo_bench.diagnosis.fitting.model_file import load_model, model_text
 from servo_bench.errors import ConfigError, FitError
+from servo_bench.files import find
 from servo_bench.recording.measured_writer import save_measured
 from servo_bench.recording.recording import Recording
 from sim_rig.effects import catalogue
@@ -146,20 +147,25 @@ def test_a_key_that_nobody_reads_is_guessed_among_those_that_are_missing(tmp_pat
         load_model(path)
 
 
-@pytest.fixture(scope="module")
-def saved(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A recording from elsewhere, with the loop's channels, and the model that is to be fitted."""
-    folder = tmp_path_factory.mktemp("fit")
-    true = Model(made.nominal_with(inertia_kg_m2=1.2))
+def from_elsewhere(true: Model, path: Path) -> Path:
+    """A recording from elsewhere, with the loop's channels."""
     recording = made.recorded(true, 3)
     channels = dict(recording.channels)
     t_s = (channels.pop("asked_ns") - 0) * 1e-9
     foreign = Recording(
         {"t_s": t_s, **channels}, recording.period_s, None, None, {"source_file": "a.csv"}
     )
-    save_measured(foreign, folder / "a.mcap")
+    save_measured(foreign, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A recording, and the model that is to be fitted."""
+    folder = tmp_path_factory.mktemp("fit")
     (folder / "start.toml").write_text(model_text(MODEL))
-    return folder / "a.mcap", folder / "start.toml"
+    true = Model(made.nominal_with(inertia_kg_m2=1.2))
+    return from_elsewhere(true, folder / "a.mcap"), folder / "start.toml"
 
 
 def test_the_command_prints_and_writes_what_it_found(
@@ -177,6 +183,21 @@ def test_the_command_prints_and_writes_what_it_found(
     assert f"{inertia:.6g}" in done.output
     assert "kg m2" in done.output
     assert np.array(numbers["correlation"]).shape == (2, 2)
+
+
+def test_what_the_rigs_file_has_is_there_while_others_are_fitted(tmp_path: Path) -> None:
+    """A friction that is known, or an inertia would take its place."""
+    true = Model(made.nominal_with(inertia_kg_m2=1.2)).with_effect("coulomb", torque_nm=0.03)
+    recording = from_elsewhere(true, tmp_path / "a.mcap")
+    rig, out = tmp_path / "rig.toml", tmp_path / "model.toml"
+    known = find("rigs/paper.toml").read_text()
+    rig.write_text(f"{known}\n[effects.coulomb]\ntorque_nm = 0.03\n")
+    words = ["fit", recording, "--rig", rig, "--free", "J", "--model-out", out]
+    done = CliRunner().invoke(cli.app, [str(word) for word in words])
+    assert done.exit_code == 0, done.output
+    found = load_model(out)
+    assert found.nominal.inertia_kg_m2 == pytest.approx(1.2 * 2.5e-4, rel=0.005)
+    assert found.effects["coulomb"].torque_nm == pytest.approx(0.03)
 
 
 def test_the_command_says_what_failed(saved: tuple[Path, Path], tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ def fit(
     ],
     rig: Annotated[
         Path | None,
-        typer.Option(help="The rig, for its nominal values; else the recording's."),
+        typer.Option(help="The rig, for its model; else the recording's."),
     ] = None,
     model: Annotated[
         Path | None, typer.Option(help="Start from this model (TOML: nominal, effects.NAME).")
@@ -104,9 +104,9 @@ def _start(recording: Recording, rig: Path | None, model: Path | None) -> Model:
     if model is not None:
         return load_model(model)
     if rig is not None:
-        return Model(load_rig(rig).nominal_values())
+        return load_rig(rig).model()
     if recording.rig is not None:
-        return Model(recording.rig.nominal_values())
+        return recording.rig.model()
     return starting_model(recording)
 
 

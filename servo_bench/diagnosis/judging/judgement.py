@@ -190,8 +190,8 @@ def _absorbed(finding: Finding) -> Iterator[str]:
             believed = finding.nominal.effects.get(effect)
             had = "" if believed is None else f" (its file has {getattr(believed, strength):.2g})"
             yield (
-                f"{effect} is there too, {strength} = {value:.2g}{had}: too small on this rig to "
-                "be worth a name."
+                f"{effect.replace('_', ' ')} is there too, {value:.2g} {unit_of(strength)}{had}: "
+                "too small on this rig to be worth a name."
             )
 
 

@@ -189,8 +189,9 @@ def _absorbed(finding: Finding) -> Iterator[str]:
             value = float(getattr(params, strength))
             believed = finding.nominal.effects.get(effect)
             had = "" if believed is None else f" (its file has {getattr(believed, strength):.2g})"
+            unit = "" if unit_of(strength) == "1" else f" {unit_of(strength)}"
             yield (
-                f"{effect.replace('_', ' ')} is there too, {value:.2g} {unit_of(strength)}{had}: "
+                f"{effect.replace('_', ' ')} is there too, {value:.2g}{unit}{had}: "
                 "too small on this rig to be worth a name."
             )
 

@@ -33,10 +33,11 @@ LEFT, BLURRED = 0.1, 0.6
 played."""
 CLEAR = 8.0
 """A lost chip's response over its own scatter."""
-MOST = 0.5
+MOST, AS_HIGH, AS_HIGH_PLAYED = 0.5, 0.25, 0.5
 """Of the chips that stand in the error, the share that is whole ones where commands were lost. What
-limits or delays a reversal leaves chips of every size, and some are whole by chance. Where chips
-are played, those count that stand as high as half of a lost one."""
+limits or delays a reversal leaves chips of every size, and some are whole by chance. Those count
+that stand as high as such a share of a lost one: beside 20 that stood 270 deviations high, 90 of 15
+were cogging and a soft loop's drift."""
 TRIES, APART_ROWS, MOST_LOST, WORTH, CAPPED = 8, 48, 0.02, 25.0, 6.0
 """Chips that are played at a time, and how far apart they are put right together; the share of them
 that may be lost in all; what one takes of the error's squares at least, in variances; and the
@@ -70,10 +71,12 @@ def lost_commands(comparison: Comparison, model: Model) -> LostCommands:
     if chips is None:
         return LostCommands((), 0)
     near, clear = np.abs(chips.share - 1.0) < SURE, chips.height > CLEAR
-    lost = [int(k) for k in chips.rows[near & clear] if chips.left(int(k)) < LEFT]
-    if len(lost) <= MOST * chips.standing(CLEAR).size:
+    found = [int(k) for k in chips.rows[near & clear] if chips.left(int(k)) < LEFT]
+    lost = [chips.first + k for k in found]
+    least = max(CLEAR, AS_HIGH * chips.usual_height(lost))
+    if len(lost) <= MOST * chips.standing(least).size:
         lost = []
-    return LostCommands(tuple(chips.first + k for k in lost), chips.rows.size)
+    return LostCommands(tuple(lost), chips.rows.size)
 
 
 def lost_by_playing(recording: Recording, model: Model, block: Choice = "auto") -> LostCommands:
@@ -82,15 +85,14 @@ def lost_by_playing(recording: Recording, model: Model, block: Choice = "auto") 
     if chips is None:
         return LostCommands((), 0)
     playing = _Playing(recording, model, block, chips.sigma)
-    changes, lost, heights = chips.rows.size, list[int](), list[float]()
+    first, changes, lost = chips, chips.rows.size, list[int]()
     while len(lost) < MOST_LOST * changes:
         found, then = _better(playing, chips, lost)
         if then is None:
             break
         lost += found
-        heights += [chips.height_of(k) for k in found]
         chips = then
-    others = chips.standing(0.5 * float(np.median(heights))).size if lost else 0
+    others = chips.standing(AS_HIGH_PLAYED * first.usual_height(lost)).size if lost else 0
     if len(lost) <= MOST * (len(lost) + others):
         lost = []
     return LostCommands(tuple(sorted(lost)), changes)
@@ -165,9 +167,10 @@ class _Chips(NamedTuple):
         left = there + self.jumps[k] * self.response[: there.size]
         return float(left @ left) / max(float(there @ there), 1e-300)
 
-    def height_of(self, row: int) -> float:
-        """Of a row of the recording."""
-        return float(self.height[self.rows == row - self.first][0])
+    def usual_height(self, rows: Sequence[int]) -> float:
+        """Of some of the recording's rows: the median; 0 of none."""
+        there = self.height[np.isin(self.rows, np.asarray(rows, np.intp) - self.first)]
+        return float(np.median(there)) if there.size else 0.0
 
     def standing(self, least: float) -> Array:
         """How high each chip of whatever size stands, where the error looks most like one within a

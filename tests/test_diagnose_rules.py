@@ -19,6 +19,7 @@ from servo_bench.diagnosis.searching.joint import is_worth_it
 from servo_bench.diagnosis.searching.late import held_back, no_plainer
 from servo_bench.diagnosis.searching.reading_off import is_windup
 from servo_bench.diagnosis.searching.scales import Scales, scales_of
+from servo_bench.diagnosis.searching.sizes import material_sizes
 from servo_bench.diagnosis.searching.unknowns import nuisances
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, commands
@@ -355,6 +356,18 @@ def test_a_coupling_takes_some_of_what_was_seen(seen: float, held: float, worth:
     )
     found: Any = SimpleNamespace(model=soft)
     assert is_worth_it(one, found, scales_of(MODEL, commands(1, 400), 0.008)) is worth
+
+
+@pytest.mark.parametrize(("times", "right", "worth"), [(0.8, False, True), (0.8, True, False)])
+def test_where_all_is_right_nothing_smaller_than_its_size_is_a_cause(
+    times: float, right: bool, worth: bool
+) -> None:
+    """A null's uneven bearing was a load's torque, because it took a fifth of hardly anything."""
+    scales = scales_of(MODEL, commands(1, 400), 0.008)
+    size = times * material_sizes(scales)["load_torque"]
+    found: Any = SimpleNamespace(model=MODEL.with_effect("load_torque", torque_nm=size))
+    one: Any = SimpleNamespace(effect="load_torque", contender=contender((0.05, 9.0), (0.21, 9.0)))
+    assert is_worth_it(one, found, scales, right=right) is worth
 
 
 @pytest.mark.parametrize(

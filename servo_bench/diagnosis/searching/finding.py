@@ -51,10 +51,7 @@ from servo_bench.diagnosis.searching.coasting import (
 )
 from servo_bench.diagnosis.searching.contenders import Round
 from servo_bench.diagnosis.searching.forking import rounds_of
-from servo_bench.diagnosis.searching.gate import (
-    is_noted,
-    misfit,
-)
+from servo_bench.diagnosis.searching.gate import RIGHT_ALREADY, is_noted, misfit
 from servo_bench.diagnosis.searching.hypotheses import (
     hypotheses,
 )
@@ -305,8 +302,10 @@ def _worth_telling(
     coasts = is_coasting(final.model)  # what is left beside that is hardly anything else
     noted = [n for n in named if coasts or is_noted(n.effect, before)]
     small = [n.effect for n in named if not (coasts or is_noted(n.effect, before))]
-    small += [n.effect for n in noted if not is_worth_it(n, final, scales)]
-    return final, [n for one in noted for n in worth_a_name(one, final, scales)], small
+    right = float(before.max()) < RIGHT_ALREADY
+    small += [n.effect for n in noted if not is_worth_it(n, final, scales, right=right)]
+    named = [n for one in noted for n in worth_a_name(one, final, scales, right=right)]
+    return final, named, small
 
 
 def _absorbed(effects: Sequence[str], named: Sequence[Named], final: Found) -> tuple[str, ...]:

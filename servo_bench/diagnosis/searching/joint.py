@@ -157,8 +157,10 @@ def _advantage(final: Found, less: Found) -> float:
     return block_z(final.errors.costs(final.sigma), less.errors.costs(final.sigma))
 
 
-def is_worth_it(one: Named, found: Found, scales: Scales) -> bool:
-    """Whether a cause is larger in this fit than what every rig has.
+def is_worth_it(one: Named, found: Found, scales: Scales, *, right: bool = False) -> bool:
+    """Whether a cause is larger in this fit than what every rig has. Where all is `right` without
+    it, what it takes of the rest makes nothing smaller a cause: 0.19 mN m of an uneven bearing took
+    a fifth.
 
     Beside a load that coasts a spring fits nothing else: there what was seen counts as well. Of
     rigs with nothing wrong it took 2.4 % of that at most, of 14, and of what was held out 12 %.
@@ -174,12 +176,16 @@ def is_worth_it(one: Named, found: Found, scales: Scales) -> bool:
         gain = max(gain, seen_gain)
     elif one.effect in SPRINGS - {VEHICLE} and ON_THE_LOAD & found.model.effects.keys():
         gain = min(gain, seen_gain)
+    if right and one.effect not in SPRINGS:
+        gain = 0.0
     return is_material(found.model, one.effect, scales, gain)
 
 
-def worth_a_name(one: Named, found: Found, scales: Scales) -> tuple[Named, ...]:
+def worth_a_name(
+    one: Named, found: Found, scales: Scales, *, right: bool = False
+) -> tuple[Named, ...]:
     """The cause, where it is more than what every rig has; else what it needs beside it."""
-    if is_worth_it(one, found, scales):
+    if is_worth_it(one, found, scales, right=right):
         return (one,)
     carrier = CARRIERS.get(one.effect)
     return () if carrier is None else (carried_by(one, carrier),)

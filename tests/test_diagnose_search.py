@@ -104,11 +104,17 @@ def test_a_stribeck_curve_is_no_larger_for_being_narrow() -> None:
 
 
 def test_a_spring_is_no_cause_where_nothing_is_wrong() -> None:
-    assert not is_noted("coupling_compliance", np.array([0.33, 0.1]))
-    assert is_noted("coupling_compliance", np.array([0.1, 0.91]))
-    assert is_noted("encoder_eccentricity", np.array([0.1, 0.1]))
-    assert not is_noted("contact", np.array([0.55, 0.1])), "every rig has a light load"
-    assert is_noted("contact", np.array([0.1, 0.91]))
+    inertia = MODEL.nominal.inertia_kg_m2
+    heavy, light = (
+        MODEL.with_effect("contact", load_inertia_kg_m2=share * inertia) for share in (0.02, 0.004)
+    )
+    assert not is_noted("coupling_compliance", np.array([0.33, 0.1]), MODEL)
+    assert is_noted("coupling_compliance", np.array([0.1, 0.91]), MODEL)
+    assert is_noted("encoder_eccentricity", np.array([0.1, 0.1]), MODEL)
+    assert not is_noted("contact", np.array([0.55, 0.1]), heavy), "every rig has a light load"
+    assert is_noted("contact", np.array([0.1, 0.91]), heavy)
+    assert not is_noted("contact", np.array([0.1, 0.91]), light), "and no motor feels this one"
+    assert is_noted("contact", np.array([0.1, 1.2]), light)
 
 
 @pytest.mark.parametrize(

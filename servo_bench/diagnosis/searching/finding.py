@@ -187,7 +187,11 @@ def find_causes(
     plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
     before = misfit(whole, plain.errors)
     late = Late(quick, whole, candidates, scales, band, report)
-    noted = [n for n in named if is_noted(n.effect, before) and worth_a_name(n, final, scales)]
+    noted = [
+        n
+        for n in named
+        if is_noted(n.effect, before, final.model) and worth_a_name(n, final, scales)
+    ]
     longer = longer_look(recordings, plain.model, block)
     joint = _beside_coasting(late, longer, (plain, final), noted, rounds)
     if joint is not None:
@@ -300,8 +304,9 @@ def _worth_telling(
         final, named = without_idle(late.whole, final, named, late.band)
         final, named = without_stand_ins(late.whole, final, named, late.band)
     coasts = is_coasting(final.model)  # what is left beside that is hardly anything else
-    noted = [n for n in named if coasts or is_noted(n.effect, before)]
-    small = [n.effect for n in named if not (coasts or is_noted(n.effect, before))]
+    wrong = {n.effect for n in named if coasts or is_noted(n.effect, before, final.model)}
+    noted = [n for n in named if n.effect in wrong]
+    small = [n.effect for n in named if n.effect not in wrong]
     right = float(before.max()) < RIGHT_ALREADY
     small += [n.effect for n in noted if not is_worth_it(n, final, scales, right=right)]
     named = [n for one in noted for n in worth_a_name(one, final, scales, right=right)]

@@ -389,6 +389,17 @@ def test_what_a_face_gives_to_a_weight_is_not_the_encoders(
     assert not is_windup(MODEL.with_effect("encoder_eccentricity", **wave))
 
 
+@pytest.mark.parametrize(("amplitude_rad", "windup"), [(3e-4, True), (8e-4, False)])
+def test_a_face_that_was_fitted_too_soft_is_taken_back_by_a_wave(
+    amplitude_rad: float, windup: bool
+) -> None:
+    """Under 27 mN m one of 0.02 rad/N m gives 0.54 mrad: a wave against that takes off no more."""
+    heavy = MODEL.with_effect("gravity_imbalance", torque_nm=0.027, phase_rad=0.7)
+    heavy = heavy.with_effect("contact", compliance_rad_per_nm=0.02, load_inertia_kg_m2=1e-6)
+    wave = {"amplitude_rad": amplitude_rad, "phase_rad": 0.8}
+    assert is_windup(heavy.with_effect("encoder_eccentricity", **wave)) is windup
+
+
 @pytest.mark.parametrize(
     ("best", "leads", "gives_way"),
     [("stribeck", 0.01, True), ("stribeck", 0.5, False), ("viscous", 0.01, False)],

@@ -15,6 +15,7 @@ from servo_bench.diagnosis.reading.revolution import ECCENTRIC, EFFECTS, not_at_
 from servo_bench.diagnosis.reading.subdivision import EFFECT, subdivision
 from servo_bench.diagnosis.searching.as_a_torque import TORQUE, AsATorque, as_a_torque
 from servo_bench.diagnosis.searching.coasting import OTHERWISE, is_coasting
+from servo_bench.diagnosis.searching.hypotheses import VEHICLE
 from servo_bench.diagnosis.searching.joint import Named, without_effect
 from servo_bench.diagnosis.searching.late import Late
 from servo_bench.diagnosis.searching.scales import Scales
@@ -63,14 +64,19 @@ def is_windup(model: Model) -> bool:
     k (-T sin(y + phi)), with no more than metal gives way by.
 
     A face's stiffness is fitted to impacts. Under a weight it is softer, as Hertz's law has it
-    (p ~ T^(2/3)), so that a wave of 1e-4 rad and more is left, which is not the encoder's.
+    (p ~ T^(2/3)), so that a wave of 1e-4 rad and more is left, which is not the encoder's. Where
+    that fit came out softer than the weight finds it, a wave against the weight takes off as much
+    of what the fitted face gives way.
     """
     if not {ECCENTRIC, GRAVITY} <= model.effects.keys():
         return False
     weight, wave = model.effects[GRAVITY], model.effects[ECCENTRIC]
-    turned = float(wave.phase_rad) - float(weight.phase_rad) - np.pi
-    apart = abs(float(np.arctan2(np.sin(turned), np.cos(turned))))
-    return apart < IN_PHASE_RAD and wave.amplitude_rad < GIVES_RAD_PER_NM * weight.torque_nm
+    along = np.exp(1j * (wave.phase_rad - weight.phase_rad - np.pi))
+    if abs(np.angle(along)) < IN_PHASE_RAD:
+        return bool(wave.amplitude_rad < GIVES_RAD_PER_NM * weight.torque_nm)
+    face = float(getattr(model.effects.get(VEHICLE), "compliance_rad_per_nm", 0.0))
+    against = abs(np.angle(-along)) < IN_PHASE_RAD
+    return bool(against and wave.amplitude_rad < face * weight.torque_nm)
 
 
 def _without_false_waves(

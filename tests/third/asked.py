@@ -9,10 +9,11 @@
     outside     one that the catalogue lacks: "unknown"
 
 Sizes are three to ten times what is barely detectable, log-uniform. Barely is, without sensors'
-noise, a change of half a percent to two of the rms of the load's velocity or of the current on a
-run of its rig; of a load's torque and a Stribeck friction, which show in the mean or in slow rows
-alone, a tenth of a percent to a half; of what a load encoder reads wrongly, a sixth of a millirad.
-Ranges go with the rig as `Per` says.
+noise, a change of 0.2 to 2 % of the rms of the load's velocity or of the current on a run of its
+rig (of plain friction and a delay up to 3.5 %, of a loose disc up to 5 %); of a load's torque and a
+Stribeck friction, which show in the mean or in slow rows alone, 0.1 to 0.5 %; of what a load
+encoder reads wrongly, a sixth of a millirad. Ranges go with the rig as `Per` says. Of lost commands
+a run that holds each for some periods shows but a part: how many is in no range.
 """
 
 import math

@@ -6,11 +6,11 @@ from numpy.typing import NDArray
 
 from servo_bench.diagnosis.comparing.comparison import compare
 from servo_bench.diagnosis.comparing.evidence import SCALES
-from servo_bench.diagnosis.reading.lost import heard, lost_by_playing, lost_commands
+from servo_bench.diagnosis.reading.lost import _pulse, heard, lost_by_playing, lost_commands
 from servo_bench.diagnosis.searching.coasting import coasting
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
-from tests.fit_recordings import NOMINAL, RUN, recorded, with_channels
+from tests.fit_recordings import NOMINAL, PERIOD_S, RUN, recorded, with_channels
 
 MODEL = Model(NOMINAL)
 COASTS = coasting(MODEL, 760.0, face_s=3e-5)
@@ -44,6 +44,16 @@ def test_lost_commands_are_found_to_the_slot_and_put_right(seed: int) -> None:
     assert set(changes.tolist()) <= set(found.rows)
     mended = heard(told, found.rows)["velocity_command_rad_s"]
     np.testing.assert_array_equal(mended[changes], heard_run["velocity_command_rad_s"][changes])
+
+
+@pytest.mark.parametrize("effect", ["cogging", "gravity_imbalance", "coulomb", "pre_sliding"])
+def test_what_acts_as_a_spring_at_rest_shapes_no_response(effect: str) -> None:
+    """A chip's response is that of a motor that turns, and not of one in a magnet's valley."""
+    plain = _pulse(MODEL, PERIOD_S)
+    rough = MODEL.with_effect(effect, torque_nm=0.03)
+    np.testing.assert_array_equal(_pulse(rough, PERIOD_S), plain)
+    stiff = MODEL.with_effect("proportional_gain_error", error_fraction=0.3)
+    assert np.abs(_pulse(stiff, PERIOD_S) - plain).max() > 0.05 * np.abs(plain).max()
 
 
 def test_nothing_is_lost_where_nothing_was() -> None:

@@ -39,6 +39,7 @@ def run_of(rows: int, seed: int) -> Recording:
     return Recording(channels, period_s, None, None, {}, plant=HELD)
 
 
+@pytest.mark.long
 def test_weight_and_friction_show_in_the_goal_and_the_position_alone() -> None:
     """At two rates: a logger's period is no part of the rig."""
     recordings = [run_of(50, 1), run_of(70, 3)]

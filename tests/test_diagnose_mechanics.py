@@ -70,6 +70,7 @@ def test_a_rotor_without_magnets_has_no_lines() -> None:
     assert not {"cogging", "torque_ripple"} & set(verdict.names)
 
 
+@pytest.mark.long
 def test_a_ripple_of_the_torque_has_its_own_name() -> None:
     verdict = turned({72: 0.02}, 0.3, seed=5, ripple=0.1)
     assert set(verdict.names) >= {"torque_ripple", "coulomb"}

@@ -100,6 +100,7 @@ def late_of(whole: Evidence, *believed: str) -> Late:
     return Late(whole, whole, (), scales, BAND, nothing_told)
 
 
+@pytest.mark.long
 def test_a_coupling_faces_who_was_sure_once_the_load_coasts(
     sprung: tuple[Evidence, Named, Found],
 ) -> None:

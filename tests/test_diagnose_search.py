@@ -85,6 +85,7 @@ def test_a_search_that_is_settled_is_at_the_truth(lost: tuple[Evidence, Found]) 
     assert settled.value("cogging.torque_nm") == pytest.approx(COGGING_NM, rel=0.02)
 
 
+@pytest.mark.long
 def test_of_a_class_that_nobody_can_tell_apart_one_is_enough() -> None:
     rig = MODEL.with_effect("load_torque", torque_nm=0.01)
     both = ("load_torque", "asymmetric_friction")

@@ -119,6 +119,7 @@ def test_wrong_samples_are_counted_in_all_the_rows_that_came() -> None:
     assert found.wild > 0.9 * wrong[1003::130].size
 
 
+@pytest.mark.long
 def test_at_1_khz_the_same_cause_is_named_as_at_the_pace_of_the_commands() -> None:
     delayed = MODEL.with_effect("transport_delay", delay_s=2.3e-3)
     rested = held(delayed, 44, 900, first=2000)  # two seconds at rest before anything moves

@@ -5,6 +5,7 @@ import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,15 +15,15 @@ import tests.third
 from servo_bench.excitation.experiment import Experiment, MSequence
 from servo_bench.excitation.sequences import FromRecording
 from servo_bench.recording.mcap_file import load
-from tests.third.asked import (
+from tests.third.asked import asked
+from tests.third.commands import TURNING, runs
+from tests.third.hiding import (
     BY_NAME,
     IN_THE_CATALOGUE,
     OUTSIDE_THE_CATALOGUE,
     Hidden,
     Hiding,
-    asked,
 )
-from tests.third.commands import TURNING, runs
 from tests.third.plant import (
     SOURCE,
     Axis,
@@ -55,9 +56,9 @@ SHORT = Experiment(
 )
 
 
-def axis_of(rig: Rig, **values: float) -> Axis:
+def axis_of(rig: Rig, **values: Any) -> Axis:
     """The rig as it may be built, with these numbers."""
-    return built(rig, np.random.default_rng(7))._replace(**values)  # type: ignore[arg-type]
+    return built(rig, np.random.default_rng(7))._replace(**values)
 
 
 def played(axis: Axis, commands_rad_s: Array, period_s: float = PERIOD_S) -> Played:
@@ -295,7 +296,8 @@ def test_both_sides_have_the_same_axis() -> None:
     kinds = {"double": float, "long": int}
     there = {name: kinds[kind] for kind, name in re.findall(r"(double|long) (\w+);", body)}
     assert list(there.items()) == list(Axis.__annotations__.items())
-    assert re.search(r"enum \{ (.*) \}", text)[1] == ", ".join(link.name for link in Link)  # type: ignore[index]
+    (links,) = re.findall(r"enum \{ (.*) \}", text)
+    assert links == ", ".join(link.name for link in Link)
 
 
 def test_without_a_compiler_it_says_what_to_do(

@@ -9,6 +9,7 @@ rigs whose file has a coupling or friction of its own.
     rigs.py             seven rigs: what their files say, and how they are built
     commands.py         what their operators play
     recorded.py         a run as the bench records it
+    hiding.py           what can be hidden, how large, and how a verdict tells it
     asked.py            a trial from a seed: which rig, and what is hidden in it
     told.py             the diagnosis in another process, and what its verdict is worth
     __main__.py         python -m tests.third --seed 0 --count 10 --json OUT.jsonl

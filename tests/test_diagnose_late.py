@@ -93,3 +93,15 @@ def test_a_dead_time_shows_beside_a_load_that_coasts_and_a_line_too_small_for_a_
     assert [n.effect for n in named] == ["inverter_dead_time"]
     assert final.value("inverter_dead_time.notch_a") == pytest.approx(0.05, rel=0.2)
     assert final.value("cogging.torque_nm") == pytest.approx(2.4e-4, rel=0.2)
+
+
+@pytest.mark.long
+def test_two_causes_show_beside_a_load_that_coasts() -> None:
+    rippled = MODEL.with_effect("cogging", torque_nm=8e-4, order=24.0)
+    both = rippled.with_effect("inverter_dead_time", notch_a=0.05, pole_pair_count=4.0)
+    found = again(coasting(both, SLOWED_RAD_S2), 67, "cogging", "inverter_dead_time")
+    assert found is not None
+    final, named = found
+    assert [n.effect for n in named] == ["cogging", "inverter_dead_time"]
+    assert final.value("cogging.torque_nm") == pytest.approx(8e-4, rel=0.1)
+    assert final.value("inverter_dead_time.notch_a") == pytest.approx(0.05, rel=0.2)

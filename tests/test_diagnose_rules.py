@@ -491,6 +491,31 @@ def test_a_cause_alone_is_needed_beside_what_is_too_small_for_a_name(
     assert (named == [one]) is kept
 
 
+@pytest.mark.parametrize(
+    ("effect", "open_", "kept"),
+    [
+        ("load_torque", ("load_torque", "contact"), False),
+        ("load_torque", ("load_torque",), True),
+        ("coulomb", ("coulomb", "contact"), True),
+    ],
+)
+def test_what_turns_a_load_is_needed_beside_a_mass_that_the_load_has(
+    monkeypatch: pytest.MonkeyPatch, effect: str, open_: tuple[str, ...], kept: bool
+) -> None:
+    """Beside a light load a small torque stood in for its friction, and later for nothing."""
+    unknowns = tuple(SimpleNamespace(effect=name) for name in open_)
+    fit = SimpleNamespace(model=MODEL, unknowns=unknowns, errors=None)
+    for name in ("seek", "settle", "without_effect"):
+        monkeypatch.setattr(joint, name, lambda *_, **__: fit)
+    monkeypatch.setattr(joint, "is_needed", lambda *_: False)
+    monkeypatch.setattr(joint, "misfit", lambda *_: np.zeros(1))
+    evidence: Any = None
+    now: Any = fit
+    one: Any = SimpleNamespace(effect=effect)
+    _, named = joint.fit_jointly(evidence, now, [one], (), lambda _: None)
+    assert (named == [one]) is kept
+
+
 def test_what_every_rig_may_have_is_not_asked_whether_it_is_needed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

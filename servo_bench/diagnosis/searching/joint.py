@@ -71,8 +71,8 @@ def fit_jointly(
 ) -> tuple[Found, list[Named]]:
     """Everything accepted on all that was recorded; what is not needed is taken out again.
 
-    One cause alone is needed; not so beside what was accepted and is too `small` for a name, which
-    may have taken its place since.
+    One cause alone is needed; not so beside what was accepted and is too `small` for a name,
+    nor of what turns a load beside a mass of the load's own, which may have taken its place since.
     """
     final = seek(whole, now.model, now.unknowns, iterations=2, first=3, coarse=False)
     own = {u.effect for u in now.unknowns if u not in band}
@@ -86,7 +86,9 @@ def fit_jointly(
         final = on_other_faces(whole, final, own)
     kept = list(named)
     for one in named:
-        if len(kept) + small < 2 or _is_in_its_band(one.effect, final, band):
+        moves = VEHICLE in own and one.effect in ON_THE_LOAD
+        alone = len(kept) + small < 2 and not moves
+        if alone or _is_in_its_band(one.effect, final, band):
             continue
         report(f"without {one.effect}")
         try:

@@ -60,8 +60,8 @@ OVER_PLAIN = 0.2
 was asked beside it: of one that stood in for a wrong inertia's damping it was 0.12, eight standard
 deviations. True ones are beside the friction that they warm from, which has its name by then."""
 MOST_TURNS, PROMISED, SPRINGS_PROMISED = 3, 0.004, 0.02
-"""Of asking what a load that coasts has hidden: beside what is too small for a name once more; and
-the screened gain below which nothing is fitted there, and no spring."""
+"""Of asking what a load that coasts has hidden: beside what was found, or is too small for a name,
+once more; and the screened gain below which nothing is fitted there, and no spring."""
 
 RATIO = ("torque_constant_error", "inertia_error")
 
@@ -81,7 +81,7 @@ def asked_again(
     late: Late, longer: Evidence, plain: Found, final: Found, report: Callable[[Round], None]
 ) -> tuple[Found, list[Named]] | None:
     """What no round found, once more where the load coasts: without that it stood in for it, or was
-    hidden by it. The joint fit with a cause, where that is better than neither.
+    hidden by it. The joint fit with one cause or several, where that is better than none.
 
     What is too small for a name, a line of the shaft that `final` has first, is part of the base.
     It is asked of `longer`, not of the whole: a load that coasts takes long to play.
@@ -92,7 +92,10 @@ def asked_again(
         return None
     out = OTHERWISE | (LINES & beside.model.effects.keys())
     asked = [h for h in late.candidates if h.effect not in out]
+    kept: list[Named] = []
     for _ in range(MOST_TURNS):
+        if not asked:
+            break
         right = float(misfit(longer, beside.errors).max()) < RIGHT_ALREADY
         played = _late_round(
             *(asking, beside, asked),
@@ -105,16 +108,16 @@ def asked_again(
         found = next((c for c in no_plainer(played) if able(c)), None)
         found = with_a_name(found, played, late.scales, able)
         if found is None:
-            rare = _acts_again(late, played)
-            return None if rare is None else _jointly(late, plain, rare)
+            rare = None if kept else _acts_again(late, played)
+            return _jointly(late, plain, [rare] if rare is not None else kept)
         named = Named(found.effect, played, found, own_unknowns(found, found.effect))
         if is_worth_it(named, found.found, late.scales):
-            return _jointly(late, plain, named)
+            kept.append(named)
         beside = found.found
         hopeful = {s.hypothesis.effect for s in played.screened if s.gain > LEAST}
         springs = SPRINGS & {c.effect for c in played.contenders}  # three free numbers: asked once
         asked = [h for h in asked if h.effect in hopeful - class_of(found.effect) - springs]
-    return None
+    return _jointly(late, plain, kept)
 
 
 def _acts_again(late: Late, played: Round) -> Named | None:
@@ -146,11 +149,14 @@ def _with_small_lines(late: Late, plain: Found, final: Found) -> Found:
     return seek(late.whole, model, unknowns, plain.sigma, iterations=1, first=2)
 
 
-def _jointly(late: Late, plain: Found, one: Named) -> tuple[Found, list[Named]] | None:
-    """The joint fit with it, where that is better than the plain one."""
-    joint, named = fit_jointly(late.whole, one.contender.found, [one], late.band, late.report)
+def _jointly(late: Late, plain: Found, named: Sequence[Named]) -> tuple[Found, list[Named]] | None:
+    """The joint fit with these, where there are any and that is better than the plain one."""
+    if not named:
+        return None
+    now = named[-1].contender.found
+    joint, kept = fit_jointly(late.whole, now, list(named), late.band, late.report)
     better = joint.errors.cost(plain.sigma) < plain.errors.cost(plain.sigma)
-    return (joint, named) if better else None
+    return (joint, kept) if better else None
 
 
 def asked_late(

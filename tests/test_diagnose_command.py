@@ -13,7 +13,12 @@ from typer.testing import CliRunner
 from servo_bench.cli import app as cli
 from servo_bench.diagnosis.fitting.model_file import load_model, model_text
 from servo_bench.diagnosis.judging.extended import extended_rig, rig_text
-from servo_bench.diagnosis.judging.undecided import check_alike, open_questions, undecided
+from servo_bench.diagnosis.judging.undecided import (
+    check_alike,
+    open_questions,
+    undecided,
+    without_the_motor_s_angle,
+)
 from servo_bench.diagnosis.judging.verdict import Verdict
 from servo_bench.errors import ConfigError, FitError
 from servo_bench.recording.mcap_file import load
@@ -188,6 +193,28 @@ def test_what_cannot_be_decided_is_said_and_which_run_would(
     assert any(told in sentence for sentence in verdict.undecided)
     assert "design diagnosis" in verdict.next_run
     assert "nothing can be fitted" in diagnosis_report(verdict, None, None, recording)
+
+
+@pytest.mark.parametrize(
+    ("gone", "told"),
+    [
+        ((), []),
+        (("motor_position_rad",), ["by its torque and by what reaches", "record its position"]),
+        (
+            ("motor_position_rad", "motor_torque_nm", "motor_current_a"),
+            ["angle and current, ", "record its position"],
+        ),
+    ],
+)
+def test_a_motor_s_angle_that_did_not_come_is_asked_for(
+    handed: Handed, gone: tuple[str, ...], told: list[str]
+) -> None:
+    recording = load(handed.seen)
+    speed = {"motor_velocity_rad_s": np.gradient(recording["motor_position_rad"])}
+    recording = replace(recording, channels={**recording.channels, **speed})
+    said = list(without_the_motor_s_angle(_without(recording, *gone)))
+    assert len(said) == len(told)
+    assert all(words in sentence for words, sentence in zip(told, said, strict=True))
 
 
 def test_short_recordings_are_as_long_as_all_of_them(handed: Handed) -> None:

@@ -21,6 +21,7 @@ from servo_bench.diagnosis.judging.gain import error_figures
 from servo_bench.diagnosis.judging.intervals import limits_of, names_of
 from servo_bench.diagnosis.judging.sensors import misread
 from servo_bench.diagnosis.judging.steadiness import CHANGES, slope_of
+from servo_bench.diagnosis.judging.undecided import without_the_motor_s_angle
 from servo_bench.diagnosis.judging.verdict import (
     Cause,
     ErrorFigures,
@@ -208,11 +209,7 @@ def _coasting(model: Model) -> Iterator[str]:
 
 def _undecided(finding: Finding) -> Iterator[str]:
     first = finding.recordings[0]
-    if "motor_position_rad" not in first:
-        yield (
-            "Without the motor's encoder and current, causes in the motor and in its drive are "
-            "told apart by what reaches the load only."
-        )
+    yield from without_the_motor_s_angle(first)
     if "load_angle_rad" in first and 0.0 < _travel(first["load_angle_rad"]) < FULL_TURN:
         yield (
             "The load made less than a full turn: what repeats with its angle (eccentricity, "

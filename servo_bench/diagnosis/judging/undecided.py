@@ -85,6 +85,7 @@ def _signals(recording: Recording) -> tuple[str, ...]:
 
 
 def _came(recording: Recording, *names: str) -> tuple[str, ...]:
+    """Those of the channels of which anything came."""
     named = [n for n in names if n in recording]
     return tuple(n for n in named if np.isfinite(np.asarray(recording[n], np.float64)).any())
 
@@ -158,6 +159,23 @@ def open_questions(recording: Recording) -> Iterator[str]:
         yield (
             f"At a period of {recording.period_s * 1e3:g} ms short delays and lags in the drive, "
             "below some 0.2 ms, look alike. Command and log at 1 kHz where the drive allows it."
+        )
+
+
+def without_the_motor_s_angle(recording: Recording) -> Iterator[str]:
+    """What is told apart by less where that did not come, and what would have to be recorded."""
+    if _came(recording, "motor_position_rad"):
+        return
+    also = "its torque and by " if _came(recording, *EFFORTS) else ""
+    missing = "angle" if also else "angle and current"
+    yield (
+        f"Without the motor's {missing}, causes in the motor and in its drive are told apart by "
+        f"{also}what reaches the load only."
+    )
+    if _came(recording, "motor_velocity_rad_s"):
+        yield (
+            "The drive's own speed is filtered as the drive likes, and is compared with nothing: "
+            "record its position (motor_position_rad, 0x6064)."
         )
 
 

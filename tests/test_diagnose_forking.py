@@ -67,6 +67,15 @@ def test_another_way_begins_with_what_is_as_good_and_changes_something_else(play
     assert fork(told(played, LAG), LAG) is None
 
 
+@pytest.mark.parametrize(("like", "other"), [(0.86, LINE), (0.96, None)])
+def test_another_way_may_change_much_of_the_same(
+    played: Round, monkeypatch: pytest.MonkeyPatch, like: float, other: str | None
+) -> None:
+    """Friction of the load does of what the motor's does."""
+    monkeypatch.setattr(Round, "likeness", lambda *_: like)
+    assert fork(told(played, LAG, LINE), LAG) == other
+
+
 def test_a_coupling_begins_no_other_way(played: Round) -> None:
     """Its three numbers fit a part of anything."""
     both = told(played, LAG, LINE)

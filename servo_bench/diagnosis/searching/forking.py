@@ -12,7 +12,7 @@ from servo_bench.diagnosis.comparing.evidence import Evidence, block_z
 from servo_bench.diagnosis.comparing.rows import Array
 from servo_bench.diagnosis.searching.accepting import Accepted, one_way
 from servo_bench.diagnosis.searching.coasting import with_coasting
-from servo_bench.diagnosis.searching.contenders import LIKE, RIVAL_Z, Contender, Round, all_costs
+from servo_bench.diagnosis.searching.contenders import ALIKE, RIVAL_Z, Contender, Round, all_costs
 from servo_bench.diagnosis.searching.gate import RIGHT, misfit, passes
 from servo_bench.diagnosis.searching.hypotheses import SPRINGS, VEHICLE, Hypothesis
 from servo_bench.diagnosis.searching.rounds import Told
@@ -44,10 +44,11 @@ def rounds_of(
 
 
 def fork_of(played: Round, accepted: Contender) -> Contender | None:
-    """Who is no further behind what was accepted than chance, and changes something else; but for a
-    coupling, whose three numbers fit a part of anything."""
+    """Who is no further behind what was accepted than chance, and does not change the same; but for
+    a coupling, whose three numbers fit a part of anything. Friction of the load changes much of
+    what the motor's does (0.86 of it), and a Stribeck curve fits beside the right one only."""
     able = (c for c in played.contenders if c is not accepted and passes(c))
-    unlike = (c for c in able if played.likeness(accepted, c) < LIKE)
+    unlike = (c for c in able if played.likeness(accepted, c) < ALIKE)
     firm = (c for c in unlike if c.effect not in SPRINGS - {VEHICLE})
     return next((c for c in firm if block_z(accepted.costs, c.costs) < RIVAL_Z), None)
 

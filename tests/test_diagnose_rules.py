@@ -15,7 +15,7 @@ from servo_bench.diagnosis.searching.accepting import with_a_name
 from servo_bench.diagnosis.searching.contenders import Round, _is_alike
 from servo_bench.diagnosis.searching.gate import passes, passes_beside_coasting, passes_slowly
 from servo_bench.diagnosis.searching.hypotheses import hypotheses
-from servo_bench.diagnosis.searching.joint import is_worth_it
+from servo_bench.diagnosis.searching.joint import Named, is_worth_it
 from servo_bench.diagnosis.searching.late import held_back, no_plainer
 from servo_bench.diagnosis.searching.reading_off import is_windup
 from servo_bench.diagnosis.searching.scales import Scales, scales_of
@@ -147,7 +147,9 @@ def test_what_warms_is_kept_where_what_came_last_misses_it(
         costs = 10.0 * (1.0 - gain * rough)
         return SimpleNamespace(costs=lambda _: costs, cost=lambda _: costs.sum())
 
-    ends = [SimpleNamespace(errors=fit(g), model=None, sigma=None) for g in (0.001, 0.0)]
+    ends = [
+        SimpleNamespace(errors=fit(g), model=None, sigma=None, unknowns=()) for g in (0.001, 0.0)
+    ]
     with_it, less = ends
     held = [fit(held_gain), fit(0.0)]
     whole: Any = SimpleNamespace(held_out=lambda _: held)
@@ -514,6 +516,51 @@ def test_what_turns_a_load_is_needed_beside_a_mass_that_the_load_has(
     one: Any = SimpleNamespace(effect=effect)
     _, named = joint.fit_jointly(evidence, now, [one], (), lambda _: None)
     assert (named == [one]) is kept
+
+
+@pytest.mark.parametrize(
+    ("open_", "needed", "left"),
+    [
+        (("current_limit",), ("coulomb", "current_limit"), ["coulomb", "current_limit"]),
+        (("current_limit",), ("coulomb",), ["coulomb"]),
+        ((), ("coulomb", "current_limit"), ["coulomb"]),
+    ],
+)
+def test_what_an_anti_windup_acted_beside_keeps_a_name_where_it_is_needed(
+    monkeypatch: pytest.MonkeyPatch,
+    open_: tuple[str, ...],
+    needed: tuple[str, ...],
+    left: list[str],
+) -> None:
+    """On all that was recorded it had taken its limit's place, and was not missed beside it."""
+    unknowns = tuple(SimpleNamespace(effect=name) for name in open_)
+    fit = SimpleNamespace(model=MODEL, unknowns=unknowns, errors=None)
+    for name in ("seek", "settle", "without_effect"):
+        monkeypatch.setattr(joint, name, lambda *_, **__: fit)
+    monkeypatch.setattr(joint, "is_missed", lambda *a: a[3] in needed)
+    evidence: Any = None
+    now: Any = fit
+    names = ("coulomb", "anti_windup")
+    round_: Any = None
+    contender: Any = SimpleNamespace(found=fit)
+    both = [Named(name, round_, contender, ()) for name in names]
+    _, named = joint.fit_jointly(evidence, now, both, (), lambda _: None)
+    assert [n.effect for n in named] == left
+
+
+@pytest.mark.parametrize(
+    ("there", "also"),
+    [
+        (("coulomb", "current_limit"), {"pre_sliding"}),
+        (("coulomb", "pre_sliding"), set()),
+        (("current_limit",), set()),
+    ],
+)
+def test_bristles_are_fitted_wherever_plain_friction_is(
+    there: tuple[str, ...], also: set[str]
+) -> None:
+    found: Any = [SimpleNamespace(hypothesis=SimpleNamespace(effect=e)) for e in there]
+    assert rounds._bristles(found) == also
 
 
 def test_what_every_rig_may_have_is_not_asked_whether_it_is_needed(

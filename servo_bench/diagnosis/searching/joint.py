@@ -84,8 +84,8 @@ def fit_jointly(
     ):
         report("other faces")
         final = on_other_faces(whole, final, own)
-    kept = list(named)
-    for one in named:
+    kept, asked = list(named), list(named)
+    for one in asked:
         moves = VEHICLE in own and one.effect in ON_THE_LOAD
         alone = len(kept) + small < 2 and not moves
         if alone or _is_in_its_band(one.effect, final, band):
@@ -96,9 +96,21 @@ def fit_jointly(
         except EffectError:  # the others need it: a load of the inertia that it adds
             continue
         if not is_missed(whole, final, less, one.effect, kept):
-            kept.remove(one)
+            left = _carrier_of(one, less, kept)
+            place = kept.index(one)
+            kept[place : place + 1] = left
+            asked += left
             final = less
     return final, kept
+
+
+def _carrier_of(one: Named, less: Found, kept: Sequence[Named]) -> list[Named]:
+    """What a cause acted beside, where a fit without it has that still and it has no name yet."""
+    carrier = CARRIERS.get(one.effect)
+    is_open = any(u.effect == carrier for u in less.unknowns)
+    if carrier is None or not is_open or any(n.effect == carrier for n in kept):
+        return []
+    return [carried_by(one, carrier)]
 
 
 def _is_in_its_band(effect: str, final: Found, band: Sequence[Unknown]) -> bool:

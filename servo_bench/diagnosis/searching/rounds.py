@@ -40,6 +40,7 @@ WORTH_ANYHOW = 0.05
 STARTS, MASSES = (1.0, 0.5, 0.25, 2.0), (1.0, 0.5, 0.25, 0.12)
 """Of a trial's size, and of the mass that its vehicle carries: how a load slows is the two's ratio,
 and a search from a wrong one ends far off."""
+BRISTLES = "pre_sliding"
 CUTTING = frozenset({"current_limit", "integrator_clamp"})
 NEAR = (0.94, 0.88, 0.82, 0.75)
 """Of a trial's size too, of what cuts off: an eighth less may cut nothing, which has no slope."""
@@ -80,7 +81,7 @@ def play_round(
     able = [s for s in screened if s.gain > WORTH_ANYHOW or _largest(s) > _most(s, sizes)]
     able = [s for s in able if s.hypothesis.effect not in SPRINGS or s.gain > least_of_springs]
     worth = [s for s in able if s.gain > max(least, WORTH * able[0].gain)][:FITTED]
-    also = _plain(worth) | _siblings(worth)
+    also = _plain(worth) | _siblings(worth) | _bristles(worth)
     worth += [s for s in able if s.hypothesis.effect in also]
     first: list[tuple[Screened, Found]] = []
     for one in worth:
@@ -130,6 +131,13 @@ def _plain(found: Sequence[Screened]) -> set[str]:
     """What those that are there must beat: the plain cause that they refine."""
     names = {s.hypothesis.effect for s in found}
     return {REFINES[name] for name in names if name in REFINES} - names
+
+
+def _bristles(found: Sequence[Screened]) -> set[str]:
+    """What differs from plain friction by how it turns back alone, which no template tells: a limit
+    and what comes with it had taken its place beside that."""
+    names = {s.hypothesis.effect for s in found}
+    return {BRISTLES} - names if REFINES[BRISTLES] in names else set()
 
 
 def _siblings(found: Sequence[Screened]) -> set[str]:

@@ -1,7 +1,7 @@
 """The rounds; and once more from another beginning, where they leave the simulation wrong.
 
-Who is accepted first decides what can be found beside. Where two explain about as much and change
-something else, which of them comes first is a matter of chance: friction of the load, which stood
+Who is accepted first decides what can be found beside. Where two explain about as much and do not
+change the same, which of them comes first is a matter of chance: friction of the load, which stood
 in for a load that coasts, was ahead of friction of the motor by nothing, and no cause found beside
 it left the simulation right; beside the other one the load coasted, and what was hidden was found.
 """

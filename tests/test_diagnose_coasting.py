@@ -12,6 +12,7 @@ from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
 from servo_bench.diagnosis.searching import finding
 from servo_bench.diagnosis.searching.classes import class_of
 from servo_bench.diagnosis.searching.coasting import (
+    Face,
     coasting,
     coasting_or_rested,
     given_back,
@@ -71,7 +72,7 @@ def test_what_coasts_takes_no_cause_from_a_torque_constant_by_the_loads_encoder_
     """Friction of the load, with a mass that is fitted to it, takes most of what the gap does."""
     rig = MODEL.with_effect("torque_constant_error", error_fraction=0.04)
     run = recorded(
-        coasting(rig, SLOWED_RAD_S2, face_s=3e-5), 35, slots=2600, channels=("load_angle_rad",)
+        coasting(rig, SLOWED_RAD_S2, Face(3e-5, 0.0)), 35, slots=2600, channels=("load_angle_rad",)
     )
     found = find_causes([run], MODEL)
     assert found.rounds[0].contenders[0].effect == "load_friction"
@@ -93,7 +94,7 @@ def test_a_gap_that_is_wrong_is_found_beside_a_load_that_coasts_and_bounces() ->
     """How far it goes on shows only in the right gap; rigid play finds neither."""
     change_rad = 0.12 * NOMINAL.backlash_gap_rad
     wider = MODEL.with_effect("backlash_width", change_rad=change_rad)
-    hidden = coasting(wider, 760.0, face_s=1.5e-5)
+    hidden = coasting(wider, 760.0, Face(1.5e-5, 0.0))
     found = find_causes([recorded(hidden, 51, slots=900)], MODEL, only=("backlash_width",))
     assert [n.effect for n in found.named] == ["backlash_width"]
     assert is_coasting(found.final.model)
@@ -113,7 +114,7 @@ def test_friction_of_a_load_that_coasts_is_taken_off_the_motors() -> None:
 @pytest.mark.parametrize("face_s", [pytest.param(1e-6, marks=pytest.mark.long), 2e-5, 1.2e-4, 1e-3])
 def test_what_a_face_gives_back_of_a_blow(face_s: float) -> None:
     """A mass on a spring and damper, until the force is used up."""
-    model = coasting(MODEL, SLOWED_RAD_S2, face_s)
+    model = coasting(MODEL, SLOWED_RAD_S2, Face(face_s, 0.0))
     contact = model.effects["contact"]
     stiffness, mass = 1.0 / contact.compliance_rad_per_nm, contact.load_inertia_kg_m2
 
@@ -125,7 +126,7 @@ def test_what_a_face_gives_back_of_a_blow(face_s: float) -> None:
 
     done = solve_ivp(motion, (0.0, 0.1), (0.0, 1.0), "Radau", events=force, rtol=1e-8, atol=1e-12)
     _, leaves = done.y_events[0][0]
-    assert given_back(model) == pytest.approx(-leaves, abs=1e-4)
+    assert given_back(model, 1.0) == pytest.approx(-leaves, abs=1e-4)
 
 
 class Costs(NamedTuple):

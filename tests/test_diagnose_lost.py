@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 from servo_bench.diagnosis.comparing.comparison import compare
 from servo_bench.diagnosis.comparing.evidence import SCALES
 from servo_bench.diagnosis.reading.lost import _pulse, heard, lost_by_playing, lost_commands
-from servo_bench.diagnosis.searching.coasting import coasting
+from servo_bench.diagnosis.searching.coasting import Face, coasting
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, PERIOD_S, RUN, recorded, with_channels
 
 MODEL = Model(NOMINAL)
-COASTS = coasting(MODEL, 760.0, face_s=3e-5)
+COASTS = coasting(MODEL, 760.0, Face(3e-5, 0.0))
 SLOTS = 900
 LOAD_ALONE = ("load_angle_rad",)
 SLOW = {

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from servo_bench.diagnosis.comparing.evidence import quick_evidence
 from servo_bench.diagnosis.judging.judgement import verdict_of
-from servo_bench.diagnosis.searching.coasting import coasting
+from servo_bench.diagnosis.searching.coasting import Face, coasting
 from servo_bench.diagnosis.searching.finding import find_causes
 from servo_bench.diagnosis.searching.rarely import acts_again
 from sim_rig.model import Model
@@ -61,7 +61,7 @@ def test_so_is_one_that_a_load_which_coasts_shows_alone() -> None:
     clamp_a = 1.1 * integral_a(MODEL, played)[-VALIDATION:].max()
     rig = MODEL.with_effect("integrator_clamp", clamp_per_a=1.0 / clamp_a)
     seen = recorded(
-        coasting(rig, 760.0, face_s=3e-5), 64, played=played, channels=("load_angle_rad",)
+        coasting(rig, 760.0, Face(3e-5, 0.0)), 64, played=played, channels=("load_angle_rad",)
     )
     assert verdict_of(find_causes([seen], MODEL)).names == ("integrator_clamp",)
 

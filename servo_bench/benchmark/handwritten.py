@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_rig.model.contact import meet, oscillate, piece_of, sprung, swung, twisted, upward
+from sim_rig.model.contact import left_at, meet, oscillate, piece_of, sprung, swung, twisted, upward
 from sim_rig.model.lesser import greater, lesser
 from sim_rig.model.propagator import propagator
 from sim_rig.model.saturated import saturated
@@ -20,8 +20,8 @@ from sim_rig.model.skeleton import FINER, IMPACT_S
 Array = NDArray[np.float64]
 
 HELPERS = (
-    *(lesser, greater, saturated, propagator, sprung, swung, oscillate, twisted, upward, piece_of),
-    meet,
+    *(lesser, greater, saturated, propagator, sprung, swung, oscillate, twisted, upward),
+    *(left_at, piece_of, meet),
 )
 
 EFFECTS: dict[str, dict[str, float]] = {
@@ -148,7 +148,7 @@ def eighteen(  # noqa: PLR0912, PLR0915 - one loop, by hand
                     x, v = theta - load, omega - rate
                     if h > 0.0:
                         x_mid, v_mid = meet(
-                            *(x, v, apart, s.damping_s, decay, square, soft, gap, half),
+                            *(x, v, apart, s.damping_s, 0.0, decay, square, soft, gap, half),
                             *(bent, bent_c, bent_s),
                         )
                         share = per_motor * moved
@@ -194,7 +194,7 @@ def eighteen(  # noqa: PLR0912, PLR0915 - one loop, by hand
                     change = (change + q) * per_since
                     if h > 0.0:
                         x_end, v_end = meet(
-                            *(x, v, apart, s.damping_s, decay, square, soft, gap, h),
+                            *(x, v, apart, s.damping_s, 0.0, decay, square, soft, gap, h),
                             *(pressed, pressed_c, pressed_s),
                         )
                         impulse = (v + apart * h - v_end) * moved

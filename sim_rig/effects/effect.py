@@ -78,10 +78,11 @@ class Port(StrEnum):
     """pipe, once a simulation: total inertia; the law reads parameters and nominal values only"""
     TRANSMISSION = "transmission"
     """sum, once a simulation: (compliance rad/Nm, compliance x damping time rad s/Nm, load inertia
-    kg m^2); any compliance makes the load a second mass that is driven through the gap"""
+    kg m^2, slope of the restitution s/rad); any compliance makes the load a second mass that is
+    driven through the gap"""
     COUPLING = "coupling"
-    """sum, once a simulation: the same of a spring between the motor and what drives the gap; any
-    compliance makes that a mass of its own"""
+    """sum, once a simulation: the first three of a spring between the motor and what drives the
+    gap; any compliance makes that a mass of its own"""
     SLOT_DURATION = "slot_duration_s"
     """pipe, once a slot: the slot's length on the rig's own clock"""
     SLOT_COMMAND = "slot_command_rad_s"

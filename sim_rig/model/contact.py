@@ -1,10 +1,11 @@
 """The load behind the gap as a second mass: relative motion over one step, exactly, with events.
 
     x'' = a - mu T,   T = side k max(0, p + d p') while p = side x - W/2 >= 0
+    |x'| / (1 + e |x'|) where a face is left
 
 x = theta - theta_l; a relative acceleration without the contact (constant over the step),
-mu = 1/J_m + 1/J_l, k stiffness, d damping time, W gap. Off the faces x is a parabola, on one a
-damped oscillation about its own rest,
+mu = 1/J_m + 1/J_l, k stiffness, d damping time, W gap, e slope of the restitution. Off the faces
+x is a parabola, on one a damped oscillation about its own rest,
 
     x(t) = rest + c y + s (v + delta y),   c, s = exp(-delta t) (cos, sin / rate)(rate t)
 
@@ -16,6 +17,9 @@ of zero is a coupling: one face that pushes and pulls.
 from math import ceil, cos, exp, sin, sqrt
 
 from sim_rig.model.lesser import greater, lesser
+
+OUT_RAD = 1e-12
+"""Where a face is left, but for rounding."""
 
 
 def sprung(mu: float, k: float, d: float) -> tuple[float, float, float]:
@@ -63,6 +67,11 @@ def upward(x: float, v: float, a: float, never: float) -> float:
     return greater(-2.0 * x / (v + sqrt(root)) if v > 0.0 else (sqrt(root) - v) / a, 0.0)
 
 
+def left_at(v: float, slope: float) -> float:
+    """Velocity with which a face is left that took nothing else."""
+    return v / (1.0 + slope * abs(v))
+
+
 def piece_of(soft: float, h: float) -> float:
     """How much of a step `meet` takes at once: equal parts, of an eighth of a period at most, so
     that no release hides within."""
@@ -74,6 +83,7 @@ def meet(  # noqa: PLR0912, PLR0915, PLR0917 - one event after another
     v: float,
     a: float,
     d: float,
+    slope: float,
     delta: float,
     square: float,
     soft: float,
@@ -83,7 +93,8 @@ def meet(  # noqa: PLR0912, PLR0915, PLR0917 - one event after another
     c: float,
     s: float,
 ) -> tuple[float, float]:
-    """(x, x') after h, with a damping time d; c and s are `swung`'s over `piece`, `piece_of`'s."""
+    """(x, x') after h, with a damping time d and a restitution that falls by `slope` with a blow's
+    speed; c and s are `swung`'s over `piece`, `piece_of`'s."""
     half = 0.5 * gap
     if half <= 0.0:
         all_c, all_s = swung(delta, square, h)
@@ -111,6 +122,7 @@ def meet(  # noqa: PLR0912, PLR0915, PLR0917 - one event after another
                 free = False
                 x = x if pressed else side * half
             elif t == other:
+                v = left_at(v, slope) if pressed else v
                 free = pressed
                 side = side if pressed else -side
                 x = side * half
@@ -135,14 +147,16 @@ def meet(  # noqa: PLR0912, PLR0915, PLR0917 - one event after another
                     high = t
                 else:
                     low = t
-                slope = w - d * (2.0 * delta * w + (square + delta * delta) * y)
-                if slope < 0.0:
-                    t -= force / slope
+                steep = w - d * (2.0 * delta * w + (square + delta * delta) * y)
+                if steep < 0.0:
+                    t -= force / steep
                 if not low < t < high:
                     t = 0.5 * (low + high)
                 over_c, over_s = swung(delta, square, t)
                 y, w = oscillate(y0, v0, delta, square, over_c, over_s)
             free = True
+        if free and y + rest <= OUT_RAD:  # without damping the force ends where the face is left
+            y, w = -rest, left_at(w, slope)
         x, v = side * (y + rest + half), side * w
         left -= t
     return x, v

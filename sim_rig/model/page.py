@@ -17,7 +17,7 @@ _MARKER = re.compile(r"^(?P<indent> *)# (?P<what>parameters|memory|pack|port (?P
 
 
 _SPRINGS = {
-    Port.TRANSMISSION: ("compliance", "damping", "load_inertia"),
+    Port.TRANSMISSION: ("compliance", "damping", "load_inertia", "slope"),
     Port.COUPLING: ("shaft_compliance", "shaft_damping", "hub_inertia"),
 }
 
@@ -51,6 +51,7 @@ def page_text(effects: Mapping[str, Effect]) -> str:
             contact.oscillate,
             contact.twisted,
             contact.upward,
+            contact.left_at,
             contact.piece_of,
             contact.meet,
             play.reach,
@@ -74,6 +75,7 @@ def page_text(effects: Mapping[str, Effect]) -> str:
         f"CLOSED, MECHANICS, MOTION = {skeleton.CLOSED}, {skeleton.MECHANICS}, {skeleton.MOTION}",
         f"QUEUE, HEAD, MEMORY = {skeleton.QUEUE}, {skeleton.HEAD}, {skeleton.MEMORY}",
         f"IMPACT_S, FINER = {skeleton.IMPACT_S}, {skeleton.FINER}",
+        f"OUT_RAD = {contact.OUT_RAD}",
     ]
     return "\n".join([*header, "\n", "\n\n".join(functions), "", "\n".join(lines), ""])
 

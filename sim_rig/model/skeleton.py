@@ -86,7 +86,7 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
 
     inertia_kg_m2 = nominal_inertia_kg_m2
     # port inertia_kg_m2
-    compliance, damping, load_inertia = 0.0, 0.0, 0.0  # damping: time x compliance
+    compliance, damping, load_inertia, slope = 0.0, 0.0, 0.0, 0.0  # damping: time x compliance
     # port transmission
     shaft_compliance, shaft_damping, hub_inertia = 0.0, 0.0, 0.0
     # port coupling
@@ -235,7 +235,8 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
                         if step_s > 0.0:
                             x, v = hub - load, hub_rate - load_rate
                             ahead, closing = meet(
-                                *(x, v, apart, damping_s, face_delta, face_square, face_soft),
+                                *(x, v, apart, damping_s, slope),
+                                *(face_delta, face_square, face_soft),
                                 *(gap, half_s, bent_s, bent_c, bent_sine),
                             )
                             if mode != MOTION and not coupled:
@@ -316,7 +317,8 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
                         if step_s > 0.0:
                             x, v = hub - load, hub_rate - load_rate
                             ahead, closing = meet(
-                                *(x, v, apart, damping_s, face_delta, face_square, face_soft),
+                                *(x, v, apart, damping_s, slope),
+                                *(face_delta, face_square, face_soft),
                                 *(gap, step_s, pressed_s, pressed_c, pressed_sine),
                             )
                             impulse = (v + apart * step_s - closing) * moved_kg_m2

@@ -201,9 +201,9 @@ def _coasting(model: Model) -> Iterator[str]:
     if is_coasting(model):
         yield (
             "The load goes on in its gap when the motor turns back, slowed by "
-            f"{slowing_rad_s2(model):.2g} rad/s2, and leaves a face with "
-            f"{100.0 * given_back(model):.0f} % of the speed it met it with: no drawing tells it, "
-            "and every light load does."
+            f"{slowing_rad_s2(model):.2g} rad/s2, and leaves a face that it met with 1 rad/s with "
+            f"{100.0 * given_back(model, 1.0):.0f} % of that: no drawing tells it, and every light "
+            "load does."
         )
 
 

@@ -3,8 +3,9 @@
 A load with a mass meets a face many times a second, and each bounce begins where the last one
 ended: a face that is twice as stiff, or takes half as much of a blow, leaves the motor as it is and
 sends the load elsewhere in its gap, one that only coasts as well. The contact of the catalogue is
-linear and real ones are not (Hertz, Hunt and Crossley), so no numbers of it are right for every
-blow. What such a factor changes is therefore no sign of a wrong cause.
+linear but for what it takes of a blow's speed and real ones are not (Hertz, Hunt and Crossley), so
+no numbers of it are right for every blow. What such a factor changes is therefore no sign of a
+wrong cause.
 """
 
 from collections.abc import Collection
@@ -19,14 +20,15 @@ from servo_bench.diagnosis.searching.seeking import Found, seek, settle
 from sim_rig.model import Model
 
 OTHERWISE = (0.5, 2.0)
-"""Of a face's stiffness and damping: Hertz's law makes it of blows eight times as hard or soft."""
-NUMBERS = ("compliance_rad_per_nm", "damping_s")
+"""Of a face's stiffness, damping, and slope: Hertz's law makes it of blows eight times as hard or
+soft."""
+NUMBERS = ("compliance_rad_per_nm", "damping_s", "restitution_slope_s_per_rad")
 MOST = 3.0
 """Of what a right simulation may miss anyway: what is more than that is not known at all."""
 
 FACES, TURNS, BETTER = ((2.0, 1.0), (4.0, 2.0), (0.5, 1.0)), 3, 0.03
-"""Softness and damping of other faces, times those of a search's end, that it goes on from; how
-often, while it gets better by such a share."""
+"""Softness, and damping and slope, of other faces, times those of a search's end, that it goes on
+from; how often, while it gets better by such a share."""
 
 
 def on_other_faces(whole: Evidence, found: Found, own: Collection[str]) -> Found:
@@ -52,12 +54,12 @@ def _settled(whole: Evidence, found: Found, start: Model, own: Collection[str]) 
 
 def _other(model: Model, softer: float, damped: float) -> Model:
     params = model.effects[VEHICLE]._asdict()
-    times = dict(zip(NUMBERS, (softer, damped), strict=True))
+    times = dict(zip(NUMBERS, (softer, damped, damped), strict=True))
     return model.with_effect(VEHICLE, **params | {k: v * params[k] for k, v in times.items()})
 
 
 def bounces(whole: Evidence, model: Model) -> Array:
-    """Robust change of every signal by other faces, the largest of four, within `MOST`; zeros
+    """Robust change of every signal by other faces, the largest of all, within `MOST`; zeros
     without a load of its own. Shape (signals,).
     """
     if VEHICLE not in model.effects:
@@ -66,5 +68,6 @@ def bounces(whole: Evidence, model: Model) -> Array:
     others = [
         model.with_effect(VEHICLE, **{**params, name: times * params[name]})
         for name, times in product(NUMBERS, OTHERWISE)
+        if params[name] > 0.0
     ]
     return np.asarray(np.minimum(changed_by(whole, model, others), MOST * whole.allowed))

@@ -3,10 +3,14 @@
 The rigid play lets the load stand until a face comes. A real one coasts, slowed by its own
 friction, w^2/(2 a) far at speed w, with a = friction/inertia: most of a gap at 5 rad/s. It reaches
 the motor by next to nothing, so friction and inertia themselves are not told apart; a cause of
-these names is one that the motor feels, and found before this is asked.
+these names is one that the motor feels, and found before this is asked. A face gives back the same
+share of every blow, as a spring and damper do, or less the faster it is, as metal does; both are
+begun with, and what a load does after a few blows tells them apart.
 """
 
-from itertools import product
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,12 +31,26 @@ twist's where the motor is right."""
 LIGHT = 0.001
 """Of the inertia: a load of which the motor feels next to nothing."""
 SLOWED_RAD_S2 = (100.0, 170.0, 280.0, 460.0, 760.0, 1250.0, 2100.0, 3500.0)
-FACE_RAD_PER_NM, FACES_S = 1.5e-2, (1e-4, 3e-5, 1.2e-5)
-"""A stiff face, and its damping: from one that takes most of a blow to one that gives most of it
-back. Between them no search of a few steps finds its way."""
+
+
+class Face(NamedTuple):
+    """What a face takes of a blow."""
+
+    damping_s: float
+    slope_s_per_rad: float
+
+
+FACE_RAD_PER_NM = 1.5e-2
+FACES = (
+    *(Face(damping_s, 0.0) for damping_s in (1e-4, 3e-5, 1.2e-5)),
+    *(Face(2e-6, slope_s_per_rad) for slope_s_per_rad in (0.05, 0.15, 0.45)),
+)
+"""A stiff face, and what it takes: from most of a blow to little, the same of all or more of the
+fast. Between them no search of a few steps finds its way."""
+MOST_SLOPE_S_PER_RAD, SLOPE_STEP_S_PER_RAD = 5.0, 0.05
 GAP = "backlash_width"
 GAPS, FACED = (-0.15, -0.05, 0.0, 0.05, 0.15), 3
-"""Of the gap, that it is tried wrong by, with so many of the loads: how far one goes on shows only
+"""Of the gap, that it is tried wrong by, on so many of the faces: how far a load goes on shows only
 in the right gap."""
 WORTH_IT = 0.1
 """Least share of the cost that coasting takes, or it is not what is wrong."""
@@ -54,15 +72,18 @@ def with_coasting(
     least = ASKED if to_ask else WRONG
     if not _only_the_twist(whole, final, least) or OTHERWISE & set(final.model.effects):
         return final
-    start = _start(whole if scouted is None else scouted, final)
-    if start is None:
+    starts = _starts(whole if scouted is None else scouted, final)
+    if not starts:
         return final
-    own = _own(start)
-    alone = seek(whole, start, (*own, *_gap(start)), final.sigma, iterations=4, first=1)
+    ends = [
+        seek(whole, start, (*_own(start), *_gap(start)), final.sigma, iterations=4, first=1)
+        for start in starts
+    ]
+    alone = min(ends, key=lambda end: end.cost)
     rested = whole.seen([final.model])[0].cost(final.sigma)
     if alone.errors.cost(final.sigma) > (1.0 - WORTH_IT) * rested:
         return final
-    unknowns = (*final.unknowns, *own)
+    unknowns = (*final.unknowns, *_own(alone.model))
     found = seek(whole, alone.model, unknowns, final.sigma, iterations=2, first=2)
     return found if to_ask or found.errors.cost(final.sigma) < rested else final
 
@@ -75,19 +96,29 @@ def coasting_or_rested(whole: Evidence, coasts: Found, rested: Found) -> Found:
     return coasts if told and lower else rested
 
 
-def _start(scouted: Evidence, final: Found) -> Model | None:
-    """The best of some loads on some faces, in some gaps; None where one cannot be simulated."""
+@dataclass(frozen=True, order=True)
+class _Start:
+    cost: float
+    model: Model = field(compare=False)
+
+
+def _starts(scouted: Evidence, final: Found) -> list[Model]:
+    """The best of some loads, in some gaps, on each of the best faces; none where one cannot be
+    simulated. Of two faces the worse at the start may well be the better in the end."""
     try:
-        models = [coasting(final.model, a, c) for a, c in product(SLOWED_RAD_S2, FACES_S)]
+        models = [[coasting(final.model, a, face) for a in SLOWED_RAD_S2] for face in FACES]
     except EffectError:
-        return None
-    costs = np.array([errors.cost(final.sigma) for errors in scouted.seen(models)])
-    best: list[Model] = [models[k] for k in np.argsort(costs)[:FACED]]
+        return []
+    best = sorted(_lowest(scouted, final, loads) for loads in models)[:FACED]
     if final.model.nominal.backlash_gap_rad <= 0.0:
-        return best[0]
-    models = [_in_gap(model, share) for model, share in product(best, GAPS)]
-    costs = np.array([errors.cost(final.sigma) for errors in scouted.seen(models)])
-    return models[int(np.argmin(costs))]
+        return [one.model for one in best]
+    gaps = [[_in_gap(one.model, share) for share in GAPS] for one in best]
+    return [_lowest(scouted, final, wider).model for wider in gaps]
+
+
+def _lowest(scouted: Evidence, final: Found, models: Sequence[Model]) -> _Start:
+    costs = [errors.cost(final.sigma) for errors in scouted.seen(models)]
+    return min(map(_Start, costs, models))
 
 
 def _gap(model: Model) -> tuple[Unknown, ...]:
@@ -103,7 +134,7 @@ def _in_gap(model: Model, share: float) -> Model:
     return model.with_effect(GAP, change_rad=float(now.change_rad) + more)
 
 
-def coasting(model: Model, slowed_rad_s2: float, face_s: float = FACES_S[0]) -> Model:
+def coasting(model: Model, slowed_rad_s2: float, face: Face = FACES[0]) -> Model:
     """The model with a light load that is slowed so much in its gap, by friction that was taken for
     the motor's: while both turn together it is."""
     inertia = LIGHT * model.nominal.inertia_kg_m2
@@ -111,7 +142,8 @@ def coasting(model: Model, slowed_rad_s2: float, face_s: float = FACES_S[0]) -> 
         "contact",
         compliance_rad_per_nm=FACE_RAD_PER_NM * yielding(model.nominal.inertia_kg_m2),
         load_inertia_kg_m2=inertia,
-        damping_s=face_s,
+        damping_s=face.damping_s,
+        restitution_slope_s_per_rad=face.slope_s_per_rad,
     )
     friction_nm = slowed_rad_s2 * inertia
     return _friction(friction_nm).put(model.with_effect("load_friction"), friction_nm)
@@ -136,13 +168,19 @@ def slowing_rad_s2(model: Model) -> float:
     return float(model.effects["load_friction"].torque_nm) / float(inertia)
 
 
-def given_back(model: Model) -> float:
+def given_back(model: Model, speed_rad_s: float) -> float:
     """Share of a blow's speed with which the load leaves its face, 0 to 1.
 
     Of a spring and damper that pushes and never pulls, at a damping ratio z (Schwager, Poeschel,
-    Granular Matter 9 (2007) 465): exp(-z a/w), w^2 = 1 - z^2, a = atan2(2 z w, 2 z^2 - 1).
+    Granular Matter 9 (2007) 465): exp(-z a/w), w^2 = 1 - z^2, a = atan2(2 z w, 2 z^2 - 1); and of
+    that what the contact's slope leaves.
     """
     contact = model.effects["contact"]
+    slow = _of_a_slow_blow(contact)
+    return slow / (1.0 + float(contact.restitution_slope_s_per_rad) * slow * speed_rad_s)
+
+
+def _of_a_slow_blow(contact: Any) -> float:
     swing_s = np.sqrt(contact.compliance_rad_per_nm * contact.load_inertia_kg_m2)
     ratio = 0.5 * float(contact.damping_s) / float(swing_s)
     root = np.sqrt(abs(1.0 - ratio**2))
@@ -157,11 +195,16 @@ def _own(model: Model) -> tuple[Unknown, ...]:
     friction = float(model.effects["load_friction"].torque_nm)
     most = 10.0 * max(SLOWED_RAD_S2) * LIGHT * model.nominal.inertia_kg_m2
     face = FACE_RAD_PER_NM * yielding(model.nominal.inertia_kg_m2)
-    damping = float(model.effects["contact"].damping_s)
+    contact = model.effects["contact"]
+    damping, slope = float(contact.damping_s), float(contact.restitution_slope_s_per_rad)
     return (
         _friction(friction, most),
         Unknown("contact", "compliance_rad_per_nm", 0.02 * face, 10.0 * face, step=0.4 * face),
         Unknown("contact", "damping_s", 0.0, 2e-3, step=0.5 * damping),
+        Unknown(
+            *("contact", "restitution_slope_s_per_rad", 0.0, MOST_SLOPE_S_PER_RAD),
+            step=max(0.3 * slope, SLOPE_STEP_S_PER_RAD),
+        ),
     )
 
 

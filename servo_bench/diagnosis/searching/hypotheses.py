@@ -43,9 +43,10 @@ HUB_SHARES, RINGING = (0.15, 0.3, 0.5), 0.03
 """Of the inertia, behind a coupling that gives way; and its damping over the critical one."""
 VEHICLE, LOAD_SHARE = "contact", 0.04
 """What gives the load a mass of its own; and how much of the inertia is behind its gap."""
-FACES_RAD_PER_NM, SLOWED_RAD_S2, BOUNCING = (5e-3, 1.5e-2), (150.0, 500.0, 1500.0, 5000.0), 0.2
-"""Of a load whose friction is known and whose mass is not: its faces, and how fast it slows down;
-and what such faces take of a blow, as a damping ratio."""
+FACES_RAD_PER_NM, SLOWED_RAD_S2 = (5e-3, 1.5e-2), (150.0, 500.0, 1500.0, 5000.0)
+"""Of a load whose friction is known and whose mass is not: its faces, how fast it slows down."""
+BOUNCING, SLOPE_S_PER_RAD = 0.03, 0.15
+"""What faces take of a blow: as a damping ratio, and more of a fast one."""
 ON_THE_LOAD = frozenset({"load_friction", "load_torque", "gravity_imbalance"})
 SHAPES: Mapping[str, tuple[Table, ...]] = {
     "stribeck": tuple({"stribeck_rad_s": v, "transition_rad_s": 0.1 * v} for v in (0.15, 0.5, 2.0)),
@@ -127,8 +128,16 @@ def _on_faces(model: Model, slowed_rad_s2: float, compliance: float) -> Table:
     if VEHICLE in model.effects or friction is None or friction.torque_nm <= 0.0:
         raise EffectError("No friction of a load was found that would tell how fast it slows down.")
     mass = min(float(friction.torque_nm) / slowed_rad_s2, 0.5 * model.nominal.inertia_kg_m2)
-    damping_s = 2.0 * BOUNCING * float(np.sqrt(compliance * mass))
-    return {"load_inertia_kg_m2": mass, "damping_s": damping_s}
+    return _faced(compliance, mass)
+
+
+def _faced(compliance: float, mass: float) -> Table:
+    """A mass behind a gap, and what its faces take of a blow."""
+    return {
+        "load_inertia_kg_m2": mass,
+        "damping_s": 2.0 * BOUNCING * float(np.sqrt(compliance * mass)),
+        "restitution_slope_s_per_rad": SLOPE_S_PER_RAD,
+    }
 
 
 def _warm(model: Model, taken_nm: float) -> Model:
@@ -183,7 +192,10 @@ _FREE = {
     "stribeck": ("excess_torque_nm", "stribeck_rad_s", "transition_rad_s"),
     "thermal_friction": ("cold_torque_nm", "transition_rad_s"),
     "pre_sliding": ("torque_nm", "breakaway_angle_rad"),
-    "contact": ("compliance_rad_per_nm", "damping_s", "load_inertia_kg_m2"),
+    "contact": (
+        *("compliance_rad_per_nm", "damping_s", "load_inertia_kg_m2"),
+        "restitution_slope_s_per_rad",
+    ),
     "coupling_compliance": ("compliance_rad_per_nm", "damping_s", "load_inertia_kg_m2"),
     "inverter_dead_time": ("notch_a", "recovery_s"),
     "current_limit": ("limit_per_a",),
@@ -282,6 +294,8 @@ def _trials(
             settings = {strength: size, **choice}
             if effect.name == "coupling_compliance":
                 settings["damping_s"] = _ringing_s(settings, scales)
+            elif effect.name == VEHICLE:
+                settings |= _faced(size, settings["load_inertia_kg_m2"])
             yield Trial(effect.name, settings, abs(size), beside, swapped)
 
 
@@ -361,12 +375,9 @@ def _vehicles(name: str, s: Scales) -> Iterator[Mapping[str, Table]]:
     yield {}
     if name not in ON_THE_LOAD:
         return
-    vehicle: dict[str, Table] = {
-        VEHICLE: {
-            "compliance_rad_per_nm": 2e-3 * s.yielding,
-            "load_inertia_kg_m2": LOAD_SHARE * s.inertia_kg_m2,
-        }
-    }
+    compliance = 2e-3 * s.yielding
+    face = _faced(compliance, LOAD_SHARE * s.inertia_kg_m2)
+    vehicle: dict[str, Table] = {VEHICLE: {"compliance_rad_per_nm": compliance, **face}}
     if name != "load_friction":
         vehicle["load_friction"] = {"torque_nm": LITTLE * s.torque_nm}
     yield vehicle

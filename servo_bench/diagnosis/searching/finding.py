@@ -75,6 +75,7 @@ from servo_bench.diagnosis.searching.letting_go import (
     without_stand_ins,
 )
 from servo_bench.diagnosis.searching.lighter import on_a_light_load
+from servo_bench.diagnosis.searching.one_gain import as_one_gain
 from servo_bench.diagnosis.searching.reading_off import READ_OFF, with_readings
 from servo_bench.diagnosis.searching.readying import (
     filled_again,
@@ -182,7 +183,9 @@ def find_causes(
         whole = evidence_of(recordings, final.model, block=block)
         final, named = fit_jointly(whole, final, named, band, report, small=len(absorbed))
     final, named = run_off(whole, final, named, band, report)
-    final, named = on_a_light_load(whole, final, named, band, report)
+    final, named = as_one_gain(
+        whole, *on_a_light_load(whole, final, named, band, report), candidates, band
+    )
     final, named = without_stand_ins(whole, *without_idle(whole, final, named, band), band)
     plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)
     before = misfit(whole, plain.errors)

@@ -190,7 +190,7 @@ def sought_instead(
 ) -> Found:
     """The joint fit with a rival, and all that came with it, in the place of what is gone."""
     rival, new = instead
-    start = _taken_out(now, {*gone, *new}, set(gone) - set(new), band)
+    start = taken_out(now, {*gone, *new}, set(gone) - set(new), band)
     model = start.model
     for effect in new:
         model = model.with_effect(effect, **rival.found.model.effects[effect]._asdict())
@@ -201,10 +201,10 @@ def sought_instead(
 def sought_without(
     whole: Evidence, now: Found, gone: Collection[str], band: Sequence[Unknown]
 ) -> Found:
-    return sought_again(whole, _taken_out(now, gone, gone, band), ())
+    return sought_again(whole, taken_out(now, gone, gone, band), ())
 
 
-def _taken_out(
+def taken_out(
     now: Found, gone: Collection[str], back: Collection[str], band: Sequence[Unknown]
 ) -> Found:
     """A search's start without some effects; those of `back` that every rig has, in their bands."""

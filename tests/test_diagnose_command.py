@@ -202,7 +202,7 @@ def test_what_cannot_be_decided_is_said_and_which_run_would(
         (("motor_position_rad",), ["by its torque and by what reaches", "record its position"]),
         (
             ("motor_position_rad", "motor_torque_nm", "motor_current_a"),
-            ["angle and current, ", "record its position"],
+            ["angle and current, ", "integrator holds", "record its position"],
         ),
     ],
 )

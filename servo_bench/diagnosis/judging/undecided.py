@@ -172,6 +172,12 @@ def without_the_motor_s_angle(recording: Recording) -> Iterator[str]:
         f"Without the motor's {missing}, causes in the motor and in its drive are told apart by "
         f"{also}what reaches the load only."
     )
+    if not also:
+        yield (
+            "The drive's integrator holds whatever torque is constant while the motor turns, so "
+            "friction that differs by direction reaches the load where a motion starts, and "
+            "nowhere else: record the current, or play many starts from rest."
+        )
     if _came(recording, "motor_velocity_rad_s"):
         yield (
             "The drive's own speed is filtered as the drive likes, and is compared with nothing: "

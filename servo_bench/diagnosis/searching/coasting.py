@@ -47,7 +47,7 @@ FACES = (
 )
 """A stiff face, and what it takes: from most of a blow to little, the same of all or more of the
 fast. Between them no search of a few steps finds its way."""
-MOST_SLOPE_S_PER_RAD, SLOPE_STEP_S_PER_RAD = 5.0, 0.05
+LEAST_SLOPE_S_PER_RAD, MOST_SLOPE_S_PER_RAD = 1e-3, 5.0
 GAP = "backlash_width"
 GAPS, FACED = (-0.15, -0.05, 0.0, 0.05, 0.15), 3
 """Of the gap, that it is tried wrong by, on so many of the faces: how far a load goes on shows only
@@ -80,10 +80,11 @@ def with_coasting(
         for start in starts
     ]
     alone = min(ends, key=lambda end: end.cost)
+    own = [u for u in alone.unknowns if u.effect != GAP]
     rested = whole.seen([final.model])[0].cost(final.sigma)
     if alone.errors.cost(final.sigma) > (1.0 - WORTH_IT) * rested:
         return final
-    unknowns = (*final.unknowns, *_own(alone.model))
+    unknowns = (*final.unknowns, *own)
     found = seek(whole, alone.model, unknowns, final.sigma, iterations=2, first=2)
     return found if to_ask or found.errors.cost(final.sigma) < rested else final
 
@@ -195,17 +196,22 @@ def _own(model: Model) -> tuple[Unknown, ...]:
     friction = float(model.effects["load_friction"].torque_nm)
     most = 10.0 * max(SLOWED_RAD_S2) * LIGHT * model.nominal.inertia_kg_m2
     face = FACE_RAD_PER_NM * yielding(model.nominal.inertia_kg_m2)
-    contact = model.effects["contact"]
-    damping, slope = float(contact.damping_s), float(contact.restitution_slope_s_per_rad)
     return (
         _friction(friction, most),
         Unknown("contact", "compliance_rad_per_nm", 0.02 * face, 10.0 * face, step=0.4 * face),
-        Unknown("contact", "damping_s", 0.0, 2e-3, step=0.5 * damping),
-        Unknown(
-            *("contact", "restitution_slope_s_per_rad", 0.0, MOST_SLOPE_S_PER_RAD),
-            step=max(0.3 * slope, SLOPE_STEP_S_PER_RAD),
-        ),
+        _taken_of_a_blow(model),
     )
+
+
+def _taken_of_a_blow(model: Model) -> Unknown:
+    """What the face takes, the one number of its kind: the two of both kinds do much the same, and
+    fit chance where little is to be told of them."""
+    contact = model.effects["contact"]
+    damping, slope = float(contact.damping_s), float(contact.restitution_slope_s_per_rad)
+    if slope > 0.0:
+        name, step = "restitution_slope_s_per_rad", 0.5 * slope
+        return Unknown("contact", name, LEAST_SLOPE_S_PER_RAD, MOST_SLOPE_S_PER_RAD, step=step)
+    return Unknown("contact", "damping_s", 0.0, 2e-3, step=0.5 * damping)
 
 
 def _only_the_twist(whole: Evidence, final: Found, least: float) -> bool:

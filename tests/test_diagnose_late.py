@@ -27,9 +27,9 @@ SOFT = MODEL.with_effect(
 )
 
 
-def lately(hidden: Model, seed: int, only: Sequence[str]) -> tuple[Late, Found]:
+def lately(hidden: Model, seed: int, only: Sequence[str], slots: int = 800) -> tuple[Late, Found]:
     """Everything that was recorded, and the fit without a cause."""
-    run = recorded(hidden, seed, slots=800)
+    run = recorded(hidden, seed, slots=slots)
     seen = evidence_of([run], MODEL, block="loop")
     commands = np.asarray(run["velocity_command_rad_s"])
     scales = scales_of(MODEL, commands, PERIOD_S)
@@ -39,14 +39,16 @@ def lately(hidden: Model, seed: int, only: Sequence[str]) -> tuple[Late, Found]:
     return Late(seen, seen, tried, scales, band, nothing_told), plain
 
 
-def again(hidden: Model, seed: int, *only: str) -> tuple[Found, list[Named]] | None:
-    late, plain = lately(hidden, seed, only or (COUPLING,))
+def again(
+    hidden: Model, seed: int, *only: str, slots: int = 800
+) -> tuple[Found, list[Named]] | None:
+    late, plain = lately(hidden, seed, only or (COUPLING,), slots)
     return asked_again(late, late.whole, plain, plain, lambda _: None)
 
 
 @pytest.mark.long
 def test_a_coupling_is_found_where_the_load_coasts_beside_it() -> None:
-    found = again(coasting(SOFT, SLOWED_RAD_S2), 61)
+    found = again(coasting(SOFT, SLOWED_RAD_S2), 61, slots=1600)
     assert found is not None
     final, named = found
     assert [n.effect for n in named] == [COUPLING]

@@ -47,7 +47,10 @@ FACES = (
 )
 """A stiff face, and what it takes: from most of a blow to little, the same of all or more of the
 fast. Between them no search of a few steps finds its way."""
-LEAST_SLOPE_S_PER_RAD, MOST_SLOPE_S_PER_RAD = 1e-3, 5.0
+MOST_SLOPE_S_PER_RAD, SLOPE_S_PER_RAD, SLOPED = 5.0, 0.1, 0.03
+"""Of a face's slope, at most and usually; and what it takes of the cost at least where the search
+began on a face without. Beside a dead time it took a thousandth, and of what was held out so much
+of the advantage that the name was lost."""
 GAP = "backlash_width"
 GAPS, FACED = (-0.15, -0.05, 0.0, 0.05, 0.15), 3
 """Of the gap, that it is tried wrong by, on so many of the faces: how far a load goes on shows only
@@ -79,7 +82,7 @@ def with_coasting(
         seek(whole, start, (*_own(start), *_gap(start)), final.sigma, iterations=4, first=1)
         for start in starts
     ]
-    alone = min(ends, key=lambda end: end.cost)
+    alone = _sloped(whole, min(ends, key=lambda end: end.cost))
     own = [u for u in alone.unknowns if u.effect != GAP]
     rested = whole.seen([final.model])[0].cost(final.sigma)
     if alone.errors.cost(final.sigma) > (1.0 - WORTH_IT) * rested:
@@ -196,22 +199,31 @@ def _own(model: Model) -> tuple[Unknown, ...]:
     friction = float(model.effects["load_friction"].torque_nm)
     most = 10.0 * max(SLOWED_RAD_S2) * LIGHT * model.nominal.inertia_kg_m2
     face = FACE_RAD_PER_NM * yielding(model.nominal.inertia_kg_m2)
+    contact = model.effects["contact"]
+    damping, slope = float(contact.damping_s), float(contact.restitution_slope_s_per_rad)
     return (
         _friction(friction, most),
         Unknown("contact", "compliance_rad_per_nm", 0.02 * face, 10.0 * face, step=0.4 * face),
-        _taken_of_a_blow(model),
+        Unknown("contact", "damping_s", 0.0, 2e-3, step=0.5 * damping),
+        *((_slope(slope),) if slope > 0.0 else ()),
     )
 
 
-def _taken_of_a_blow(model: Model) -> Unknown:
-    """What the face takes, the one number of its kind: the two of both kinds do much the same, and
-    fit chance where little is to be told of them."""
-    contact = model.effects["contact"]
-    damping, slope = float(contact.damping_s), float(contact.restitution_slope_s_per_rad)
-    if slope > 0.0:
-        name, step = "restitution_slope_s_per_rad", 0.5 * slope
-        return Unknown("contact", name, LEAST_SLOPE_S_PER_RAD, MOST_SLOPE_S_PER_RAD, step=step)
-    return Unknown("contact", "damping_s", 0.0, 2e-3, step=0.5 * damping)
+def _slope(size_s_per_rad: float) -> Unknown:
+    name, step = "restitution_slope_s_per_rad", 0.5 * size_s_per_rad
+    most, usual = MOST_SLOPE_S_PER_RAD, SLOPE_S_PER_RAD
+    return Unknown("contact", name, 0.0, most, step=step, deviation=usual)
+
+
+def _sloped(whole: Evidence, found: Found) -> Found:
+    """The search with the slope free as well, where that is worth it: damping and slope do much the
+    same, and where little is to be told of them a number more fits chance."""
+    slope = _slope(SLOPE_S_PER_RAD)
+    if slope.name in {u.name for u in found.unknowns}:
+        return found
+    freed = (*found.unknowns, slope)
+    sloped = seek(whole, found.model, freed, found.sigma, iterations=3, first=1)
+    return sloped if sloped.cost < (1.0 - SLOPED) * found.cost else found
 
 
 def _only_the_twist(whole: Evidence, final: Found, least: float) -> bool:

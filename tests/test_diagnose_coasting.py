@@ -111,6 +111,17 @@ def test_friction_of_a_load_that_coasts_is_taken_off_the_motors() -> None:
     assert effects["load_friction"].torque_nm > 0.0
 
 
+@pytest.mark.parametrize("slope_s_per_rad", [0.1, 0.4])
+def test_a_face_that_takes_more_of_a_fast_blow_is_found(slope_s_per_rad: float) -> None:
+    """Slow blows and fast ones, which no spring and damper gives back alike."""
+    hidden = coasting(MODEL, 800.0, Face(5e-6, slope_s_per_rad))
+    better = with_coasting(*searched(hidden, 36))
+    assert is_coasting(better.model)
+    for speed_rad_s in (0.5, 3.0):
+        there = given_back(hidden, speed_rad_s)
+        assert given_back(better.model, speed_rad_s) == pytest.approx(there, abs=0.06)
+
+
 @pytest.mark.parametrize("face_s", [pytest.param(1e-6, marks=pytest.mark.long), 2e-5, 1.2e-4, 1e-3])
 def test_what_a_face_gives_back_of_a_blow(face_s: float) -> None:
     """A mass on a spring and damper, until the force is used up."""

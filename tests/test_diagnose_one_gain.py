@@ -69,7 +69,7 @@ def test_of_one_cause_and_two_that_do_the_same_one_is_told(known: bool) -> None:
     two = wrong(**{TORQUE: ONE, K_P: 1.0 / (1.0 + ONE) - 1.0})
     named = causes(seen, two, TORQUE, K_P)
     asked = [Hypothesis(K_I, (), ("error_fraction",))]
-    final, told = as_one_gain(seen, named[0].contender.found, named, asked, BAND)
+    final, told = as_one_gain(seen, named[0].contender.found, named, asked, BAND, believed=MODEL)
     if known:
         assert told == named
         return
@@ -84,4 +84,13 @@ def test_two_gains_of_which_one_is_not_asked_stay() -> None:
     seen = evidence_of([run], MODEL, block="loop")
     named = causes(seen, wrong(**{TORQUE: ONE, K_P: 1.0 / (1.0 + ONE) - 1.0}), TORQUE, K_P)
     final = named[0].contender.found
-    assert as_one_gain(seen, final, named, [], BAND) == (final, named)
+    assert as_one_gain(seen, final, named, [], BAND, believed=MODEL) == (final, named)
+
+
+def test_two_gains_stay_where_the_rig_s_file_has_one_of_them_already() -> None:
+    run = recorded(wrong(**{K_I: ONE}), 6, slots=400, channels=("load_angle_rad",))
+    seen = evidence_of([run], MODEL, block="loop")
+    named = causes(seen, wrong(**{TORQUE: ONE, K_P: 1.0 / (1.0 + ONE) - 1.0}), TORQUE, K_P)
+    final, asked = named[0].contender.found, [Hypothesis(K_I, (), ("error_fraction",))]
+    known = wrong(**{K_I: 0.05})
+    assert as_one_gain(seen, final, named, asked, BAND, believed=known) == (final, named)

@@ -12,8 +12,8 @@ MASSES_PER_KG_M2 = 1.0 / 5e-6 + 1.0 / 2.45e-4
 STIFFNESS_NM_PER_RAD, GAP_RAD = 500.0, 0.0262
 
 
-def played(  # noqa: PLR0917
-    x: float, v: float, a: float, damping_s: float, h: float, slope: float = 0.1
+def played(
+    x: float, v: float, a: float, damping_s: float, h: float, *, slope: float = 0.1
 ) -> tuple[float, float]:
     spring = sprung(MASSES_PER_KG_M2, STIFFNESS_NM_PER_RAD, damping_s)
     delta, square, soft = spring
@@ -52,7 +52,8 @@ def test_a_step_is_its_two_parts() -> None:
 
 
 def test_faces_push_and_never_pull() -> None:
-    """What the face adds to the velocity points away from it; of a slope, over a whole blow."""
+    """What the face adds to the velocity points away from it; a slope, which is taken where
+    the face is left, is no force and does so over a whole blow."""
     for x, v, a, damping_s, h in states(5, 500):
         side = math.copysign(1.0, x)
         _, end = played(x, v, a, damping_s, h, slope=0.0)

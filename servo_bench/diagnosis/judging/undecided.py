@@ -176,7 +176,7 @@ def without_the_motor_s_angle(recording: Recording) -> Iterator[str]:
         yield (
             "The drive's integrator holds whatever torque is constant while the motor turns, so "
             "friction that differs by direction reaches the load where a motion starts, and "
-            "nowhere else: record the current, or play many starts from rest."
+            "hardly after: record the current, or play many starts from rest."
         )
     if _came(recording, "motor_velocity_rad_s"):
         yield (

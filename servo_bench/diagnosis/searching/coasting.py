@@ -9,7 +9,6 @@ begun with, and what a load does after a few blows tells them apart.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,7 +46,7 @@ FACES = (
 )
 """A stiff face, and what it takes: from most of a blow to little, the same of all or more of the
 fast. Between them no search of a few steps finds its way."""
-MOST_SLOPE_S_PER_RAD, SLOPE_S_PER_RAD, SLOPED = 5.0, 0.1, 0.03
+MOST_SLOPE_S_PER_RAD, BELIEVED_S_PER_RAD, SLOPED = 5.0, 0.1, 0.03
 """Of a face's slope, at most and usually; and what it takes of the cost at least where the search
 began on a face without. Beside a dead time it took a thousandth, and of what was held out so much
 of the advantage that the name was lost."""
@@ -100,12 +99,6 @@ def coasting_or_rested(whole: Evidence, coasts: Found, rested: Found) -> Found:
     return coasts if told and lower else rested
 
 
-@dataclass(frozen=True, order=True)
-class _Start:
-    cost: float
-    model: Model = field(compare=False)
-
-
 def _starts(scouted: Evidence, final: Found) -> list[Model]:
     """The best of some loads, in some gaps, on each of the best faces; none where one cannot be
     simulated. Of two faces the worse at the start may well be the better in the end."""
@@ -113,16 +106,17 @@ def _starts(scouted: Evidence, final: Found) -> list[Model]:
         models = [[coasting(final.model, a, face) for a in SLOWED_RAD_S2] for face in FACES]
     except EffectError:
         return []
-    best = sorted(_lowest(scouted, final, loads) for loads in models)[:FACED]
+    loads = [_lowest(scouted, final, on_one_face) for on_one_face in models]
+    best = sorted(loads, key=lambda pair: pair[0])[:FACED]
     if final.model.nominal.backlash_gap_rad <= 0.0:
-        return [one.model for one in best]
-    gaps = [[_in_gap(one.model, share) for share in GAPS] for one in best]
-    return [_lowest(scouted, final, wider).model for wider in gaps]
+        return [model for _, model in best]
+    gaps = [[_in_gap(model, share) for share in GAPS] for _, model in best]
+    return [_lowest(scouted, final, wider)[1] for wider in gaps]
 
 
-def _lowest(scouted: Evidence, final: Found, models: Sequence[Model]) -> _Start:
+def _lowest(scouted: Evidence, final: Found, models: Sequence[Model]) -> tuple[float, Model]:
     costs = [errors.cost(final.sigma) for errors in scouted.seen(models)]
-    return min(map(_Start, costs, models))
+    return min(zip(costs, models, strict=True), key=lambda pair: pair[0])
 
 
 def _gap(model: Model) -> tuple[Unknown, ...]:
@@ -211,14 +205,14 @@ def _own(model: Model) -> tuple[Unknown, ...]:
 
 def _slope(size_s_per_rad: float) -> Unknown:
     name, step = "restitution_slope_s_per_rad", 0.5 * size_s_per_rad
-    most, usual = MOST_SLOPE_S_PER_RAD, SLOPE_S_PER_RAD
+    most, usual = MOST_SLOPE_S_PER_RAD, BELIEVED_S_PER_RAD
     return Unknown("contact", name, 0.0, most, step=step, deviation=usual)
 
 
 def _sloped(whole: Evidence, found: Found) -> Found:
     """The search with the slope free as well, where that is worth it: damping and slope do much the
     same, and where little is to be told of them a number more fits chance."""
-    slope = _slope(SLOPE_S_PER_RAD)
+    slope = _slope(BELIEVED_S_PER_RAD)
     if slope.name in {u.name for u in found.unknowns}:
         return found
     freed = (*found.unknowns, slope)

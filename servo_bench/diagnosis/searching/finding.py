@@ -184,7 +184,8 @@ def find_causes(
         final, named = fit_jointly(whole, final, named, band, report, small=len(absorbed))
     final, named = run_off(whole, final, named, band, report)
     final, named = as_one_gain(
-        whole, *on_a_light_load(whole, final, named, band, report), candidates, band
+        *(whole, *on_a_light_load(whole, final, named, band, report), candidates, band),
+        believed=model,
     )
     final, named = without_stand_ins(whole, *without_idle(whole, final, named, band), band)
     plain = seek(whole, base.model, base.unknowns, iterations=1, first=2)

@@ -9,8 +9,6 @@ small is a K_I that is 7 % too large. Of one cause and two that do the same, one
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from servo_bench.diagnosis.comparing.evidence import Evidence
 from servo_bench.diagnosis.searching.contenders import faced
 from servo_bench.diagnosis.searching.hypotheses import Hypothesis
@@ -31,7 +29,7 @@ HARDLY = 0.05
 
 
 def products(model: Model) -> tuple[float, float]:
-    """(A, B) over what the rig's file makes of them."""
+    """(A, B) over those of the drawing."""
     torque, inertia, p, i = (
         1.0 + float(getattr(model.effects.get(effect), "error_fraction", 0.0))
         for effect in (TORQUE, INERTIA, K_P, K_I)
@@ -58,13 +56,17 @@ def as_one_gain(
     named: Sequence[Named],
     candidates: Sequence[Hypothesis],
     band: Sequence[Unknown],
+    *,
+    believed: Model,
 ) -> tuple[Found, list[Named]]:
     """The fit and its causes with one gain for two, by the load's encoder alone, where that is
-    hardly worse."""
+    hardly worse and the rig's file has none of these errors already."""
     two = [one for one in named if one.effect in GAINS]
     does = one_that_does(final.model)
     unchanged = final, list(named)
     if not whole.is_of_the_load_alone or len(two) != 2 or does is None:
+        return unchanged
+    if GAINS & believed.effects.keys():  # their products are no longer the drawing's
         return unchanged
     effect, error = does
     asked = next((h for h in candidates if h.effect == effect), None)
@@ -78,7 +80,7 @@ def as_one_gain(
     if share_of(final, found) > HARDLY:
         return unchanged
     base = sought_again(whole, less, ())
-    played = faced(whole, base, [(found, asked)], sigma=np.asarray(final.sigma))
+    played = faced(whole, base, [(found, asked)], sigma=final.sigma)
     (contender,) = played.contenders
     kept = [one for one in named if one not in two]
     return found, [*kept, Named(effect, played, contender, own_unknowns(contender, effect))]

@@ -16,7 +16,7 @@ from drivers.clock import SYSTEM_CLOCK
 from drivers.errors import DriveError, SettingsError, WireError
 from drivers.modbus.frames import read_request, write_request
 from drivers.modbus.lines import RtuLine, TcpLine
-from drivers.modbus.link import transact
+from drivers.modbus.link import readable, transact
 from drivers.modbus.rtu import RtuLink
 from drivers.modbus.tcp import TcpLink
 from tests.modbus_peer import pty, rtu_frame, tcp_frame, tcp_listener
@@ -146,7 +146,17 @@ class Rtu:
     def ask(self, words: int = 2) -> None:
         """Begin to read; what went out is as the specification has it."""
         self.link.begin(read_request(3, 0x10, words))
-        assert os.read(self.near, 100) == rtu_frame(bytes([3, 0, 0x10, 0, words]))
+        asked = rtu_frame(bytes([3, 0, 0x10, 0, words]))
+        assert self.hears(len(asked)) == asked
+
+    def hears(self, length: int) -> bytes:
+        """What went out, at least so much of it: a pty hands it over when the kernel gets to it."""
+        data = b""
+        while len(data) < length:
+            give_up_ns = SYSTEM_CLOCK.now_ns() + PATIENCE_NS
+            assert readable(self.near, give_up_ns, SYSTEM_CLOCK), f"after {data!r} nothing came"
+            data += os.read(self.near, 100)
+        return data
 
     def says(self, data: bytes) -> list[int] | str | None:
         """What the link makes of these bytes."""
@@ -225,7 +235,8 @@ def test_rtu_exception_replies(rtu: Rtu) -> None:
 
 def test_rtu_echo_of_another_write_is_no_answer(rtu: Rtu) -> None:
     rtu.link.begin(write_request(6, 0x100, [7]))
-    assert os.read(rtu.near, 100) == rtu_frame(bytes([6, 1, 0, 0, 7]))
+    asked = rtu_frame(bytes([6, 1, 0, 0, 7]))
+    assert rtu.hears(len(asked)) == asked
     assert rtu.ignores(rtu_frame(bytes([6, 1, 0, 0, 8])))
     assert rtu.says(rtu_frame(bytes([6, 1, 0, 0, 7]))) == [7]
 
@@ -260,7 +271,8 @@ def test_rtu_devices_that_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_set_up_transaction_is_repeated_and_then_given_up(rtu: Rtu) -> None:
     with pytest.raises(WireError, match="asked 3 times to read it"):
         transact(rtu.link, read_request(3, 0, 1), 0.002, SYSTEM_CLOCK, "read it")
-    assert os.read(rtu.near, 100) == 3 * rtu_frame(bytes([3, 0, 0, 0, 1]))
+    asked = 3 * rtu_frame(bytes([3, 0, 0, 0, 1]))
+    assert rtu.hears(len(asked)) == asked
 
 
 def test_a_set_up_transaction_that_is_refused(tcp: Tcp) -> None:

@@ -36,6 +36,7 @@ from servo_bench.diagnosis.searching.hypotheses import SPRINGS, Hypothesis
 from servo_bench.diagnosis.searching.joint import Named, fit_jointly, is_worth_it, own_unknowns
 from servo_bench.diagnosis.searching.letting_go import AT_ITS_END
 from servo_bench.diagnosis.searching.rarely import acts_again
+from servo_bench.diagnosis.searching.refining import OVER_PLAIN
 from servo_bench.diagnosis.searching.rounds import Told, play_round
 from servo_bench.diagnosis.searching.scales import Scales
 from servo_bench.diagnosis.searching.seeking import Found, seek
@@ -55,10 +56,6 @@ asked once more of all that was recorded."""
 BEHIND = frozenset({"backlash_width", "encoder_subdivision"})
 """What is small beside a load that coasts, and asked once more where that is known."""
 FAR_BELOW = 0.8
-OVER_PLAIN = 0.2
-"""Of what friction that warms takes, how much more it must be than what plain friction takes that
-was asked beside it: of one that stood in for a wrong inertia's damping it was 0.12, eight standard
-deviations. True ones are beside the friction that they warm from, which has its name by then."""
 MOST_TURNS, PROMISED, SPRINGS_PROMISED = 3, 0.004, 0.02
 """Of asking what a load that coasts has hidden: beside what was found, or is too small for a name,
 once more; and the screened gain below which nothing is fitted there, and no spring."""

@@ -22,6 +22,7 @@ from servo_bench.diagnosis.searching.coasting import with_coasting
 from servo_bench.diagnosis.searching.contenders import REFINES, Round, all_costs, faced
 from servo_bench.diagnosis.searching.gate import RIGHT, misfit
 from servo_bench.diagnosis.searching.hypotheses import SPRINGS, VEHICLE, Hypothesis, Trial
+from servo_bench.diagnosis.searching.refining import BRISTLES, PLAIN, shows_itself
 from servo_bench.diagnosis.searching.screening import Screened, screen
 from servo_bench.diagnosis.searching.seeking import Found, seek, settle
 from servo_bench.diagnosis.searching.stepping import surprise
@@ -40,7 +41,6 @@ WORTH_ANYHOW = 0.05
 STARTS, MASSES = (1.0, 0.5, 0.25, 2.0), (1.0, 0.5, 0.25, 0.12)
 """Of a trial's size, and of the mass that its vehicle carries: how a load slows is the two's ratio,
 and a search from a wrong one ends far off."""
-BRISTLES = "pre_sliding"
 CUTTING = frozenset({"current_limit", "integrator_clamp"})
 NEAR = (0.94, 0.88, 0.82, 0.75)
 """Of a trial's size too, of what cuts off: an eighth less may cut nothing, which has no slope."""
@@ -94,9 +94,7 @@ def play_round(
     if settled:
         first = _hopeful(first, base)
     if not first:
-        judged = quick.held_out([base.model])[0]
-        costs = all_costs(base.errors, judged, base.sigma)
-        return Round(base, judged, costs, base.sigma, (), screened)
+        return _nothing(quick, base, screened)
     best = min(first, key=lambda pair: pair[1].cost)[1]
     sigma = quick.deviation(best.errors)
     told("comparing")
@@ -110,7 +108,18 @@ def play_round(
     cold = base if settled else _sought(quick, base, sigma)
     rested = _rested(quick, cold, sigma, without)
     ends = [(gone_on(quick, rested, f, _own(one)), one.hypothesis) for one, f in again]
+    if not any(hypothesis.effect == PLAIN for _, hypothesis in ends):
+        ends = [pair for pair in ends if shows_itself(quick, rested, pair[0], pair[1].effect)]
+    if not ends:
+        return _nothing(quick, base, screened)
     return faced(quick, rested, ends, screened, sigma=sigma)
+
+
+def _nothing(quick: Evidence, base: Found, screened: tuple[Screened, ...]) -> Round:
+    """A round without contenders."""
+    judged = quick.held_out([base.model])[0]
+    costs = all_costs(base.errors, judged, base.sigma)
+    return Round(base, judged, costs, base.sigma, (), screened)
 
 
 def _foremost(ranked: Sequence[tuple[Screened, Found]]) -> list[tuple[Screened, Found]]:

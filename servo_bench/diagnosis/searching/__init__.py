@@ -4,6 +4,7 @@ unknowns, stepping, seeking     open numbers with their bands, and searches amon
 scales                          how large things are on this rig under this excitation
 hypotheses, screening           what can be tried on this rig, and how much of it promises what
 approaching, rounds, contenders where a steep search starts; one round of fits, and who is first
+refining                        whether what a law of friction adds to the plain one is seen
 classes, gate                   what nobody can tell apart; when a cause is beyond chance and large
                                 enough for a name
 readying, accepting, forking    what is known before the first round; who is accepted in each; and

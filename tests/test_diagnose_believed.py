@@ -29,7 +29,9 @@ def test_a_run_in_slots_that_names_no_rig_asks_for_one() -> None:
     ("effect", "believed", "true"),
     [
         ("coulomb", RUBS, RUBS),
-        ("backlash_width", {"change_rad": 4e-3}, {"change_rad": 4e-3}),
+        pytest.param(
+            "backlash_width", {"change_rad": 4e-3}, {"change_rad": 4e-3}, marks=pytest.mark.long
+        ),
         ("coulomb", RUBS, {**RUBS, "torque_nm": 0.016}),
         pytest.param("coulomb", RUBS, {**RUBS, "torque_nm": 0.004}, marks=pytest.mark.long),
         pytest.param(

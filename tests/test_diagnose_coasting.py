@@ -55,6 +55,7 @@ def test_a_load_that_coasts_is_found_to_do_so() -> None:
     assert coasting_or_rested(seen, worse, found) is found
 
 
+@pytest.mark.long
 def test_a_load_that_coasts_is_found_to_do_so_by_its_own_encoder_alone() -> None:
     """Else what it does in its gap is called friction of the load."""
     run = recorded(coasting(MODEL, SLOWED_RAD_S2), 31, slots=1500)
@@ -111,7 +112,7 @@ def test_friction_of_a_load_that_coasts_is_taken_off_the_motors() -> None:
     assert effects["load_friction"].torque_nm > 0.0
 
 
-@pytest.mark.parametrize("slope_s_per_rad", [0.1, 0.4])
+@pytest.mark.parametrize("slope_s_per_rad", [pytest.param(0.1, marks=pytest.mark.long), 0.4])
 def test_a_face_that_takes_more_of_a_fast_blow_is_found(slope_s_per_rad: float) -> None:
     """Slow blows and fast ones, which no spring and damper gives back alike."""
     hidden = coasting(MODEL, 800.0, Face(5e-6, slope_s_per_rad))

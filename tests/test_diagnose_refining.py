@@ -3,6 +3,7 @@
 import pytest
 
 from servo_bench.diagnosis.comparing.evidence import evidence_of
+from servo_bench.diagnosis.judging.judgement import verdict_of
 from servo_bench.diagnosis.searching.contenders import SLIDING_RAD
 from servo_bench.diagnosis.searching.finding import find_causes
 from servo_bench.diagnosis.searching.refining import is_seen_to_warm, shows_itself
@@ -44,5 +45,5 @@ def test_plain_friction_has_no_name_of_what_refines_it() -> None:
     shows, and the motor's magnets were said to warm, to make up for it."""
     hidden = MODEL.with_effect("coulomb", torque_nm=0.01, transition_rad_s=0.01)
     refined = ("pre_sliding", "thermal_friction", "thermal_torque_constant")
-    found = find_causes([recorded(hidden, 43, slots=900)], MODEL, only=refined)
-    assert not found.named
+    told = verdict_of(find_causes([recorded(hidden, 43, slots=900)], MODEL, only=refined))
+    assert (told.verdict, told.names) == ("unknown", ())

@@ -7,6 +7,7 @@ from servo_bench.diagnosis.judging.judgement import verdict_of
 from servo_bench.diagnosis.searching.contenders import SLIDING_RAD
 from servo_bench.diagnosis.searching.finding import find_causes
 from servo_bench.diagnosis.searching.refining import is_seen_to_warm, shows_itself
+from servo_bench.diagnosis.searching.rounds import _must_show_itself
 from servo_bench.diagnosis.searching.seeking import seek
 from servo_bench.diagnosis.searching.unknowns import Unknown, nuisances
 from sim_rig.model import Model
@@ -47,3 +48,19 @@ def test_plain_friction_has_no_name_of_what_refines_it() -> None:
     refined = ("pre_sliding", "thermal_friction", "thermal_torque_constant")
     told = verdict_of(find_causes([recorded(hidden, 43, slots=900)], MODEL, only=refined))
     assert (told.verdict, told.names) == ("unknown", ())
+
+
+@pytest.mark.parametrize(
+    ("asked", "contend", "must"),
+    [
+        ({"coulomb", "thermal_friction"}, ["coulomb", "thermal_friction"], False),
+        ({"coulomb", "thermal_friction"}, ["thermal_friction"], True),
+        ({"thermal_friction", "viscous"}, ["thermal_friction", "viscous"], True),
+        ({"thermal_friction"}, ["thermal_friction"], False),
+    ],
+)
+def test_who_faces_plain_friction_need_show_nothing(
+    asked: set[str], contend: list[str], must: bool
+) -> None:
+    """Nor who is alone, and plain friction not asked: a verdict tells what it stands for."""
+    assert _must_show_itself(asked, contend) is must

@@ -6,12 +6,18 @@ from servo_bench.diagnosis.comparing.evidence import evidence_of
 from servo_bench.diagnosis.judging.judgement import verdict_of
 from servo_bench.diagnosis.searching.contenders import SLIDING_RAD
 from servo_bench.diagnosis.searching.finding import find_causes
-from servo_bench.diagnosis.searching.refining import is_seen_to_warm, shows_itself
-from servo_bench.diagnosis.searching.rounds import _must_show_itself
+from servo_bench.diagnosis.searching.refining import (
+    is_seen_to_warm,
+    must_show_itself,
+    shows_itself,
+)
 from servo_bench.diagnosis.searching.seeking import seek
 from servo_bench.diagnosis.searching.unknowns import Unknown, nuisances
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, recorded
+from tests.trials.drawing import Question
+from tests.trials.handing import nominal_rig
+from tests.truth import hidden
 
 MODEL = Model(NOMINAL)
 COLD = Unknown("thermal_friction", "cold_torque_nm", 0.0, 0.1, step=2e-3)
@@ -41,12 +47,24 @@ def test_bristles_that_only_slide_are_none(bristle_rad: float, shows: bool) -> N
     assert shows_itself(seen, base, found, "pre_sliding") is shows
 
 
+@pytest.mark.long
 def test_plain_friction_has_no_name_of_what_refines_it() -> None:
-    """It is asked by none of its own; "falls as it warms" fitted a record of 44 s as well as that
-    shows, and the motor's magnets were said to warm, to make up for it."""
-    hidden = MODEL.with_effect("coulomb", torque_nm=0.01, transition_rad_s=0.01)
-    refined = ("pre_sliding", "thermal_friction", "thermal_torque_constant")
-    told = verdict_of(find_causes([recorded(hidden, 43, slots=900)], MODEL, only=refined))
+    """18 mN m in the truth, and none of its own names asked: friction that warms fitted 44 s of it,
+    with magnets that warm to make up for what it said too much."""
+    question = Question(seed=6270000, kind="removed", effect="coulomb_friction")
+    sealed = question.sealed()
+    seen, held_out = (
+        hidden.record(
+            sealed,
+            experiment,
+            question.nominal,
+            take=take,
+            sized_for_rad_s=question.plan.velocity_rad_s,
+        )
+        for take, experiment in enumerate(question.plan[:2])
+    )
+    model, without = nominal_rig(question.nominal).model(), question.without(sealed)
+    told = verdict_of(find_causes([seen], model, held_out=held_out, without=without))
     assert (told.verdict, told.names) == ("unknown", ())
 
 
@@ -63,4 +81,4 @@ def test_who_faces_plain_friction_need_show_nothing(
     asked: set[str], contend: list[str], must: bool
 ) -> None:
     """Nor who is alone, and plain friction not asked: a verdict tells what it stands for."""
-    assert _must_show_itself(asked, contend) is must
+    assert must_show_itself(asked, contend) is must

@@ -6,6 +6,8 @@ that nothing shows. Where plain friction is a rival, that decides. Where it is n
 asked or promised too little, the law faces itself without what it adds.
 """
 
+from collections.abc import Collection, Sequence
+
 from servo_bench.diagnosis.comparing.evidence import Evidence
 from servo_bench.diagnosis.searching.contenders import REFINES, SLIDING_RAD, all_costs
 from servo_bench.diagnosis.searching.seeking import Found, seek
@@ -19,13 +21,18 @@ was asked beside it: of one that stood in for a wrong inertia's damping it was 0
 deviations. True ones are beside the friction that they warm from, which has its name by then."""
 
 
+def must_show_itself(asked: Collection[str], contend: Sequence[str]) -> bool:
+    """Whether a law that refines plain friction must show what it adds: where that is no rival. One
+    that is alone, and plain friction not asked, is told as what stands in for it (`doubts`)."""
+    return PLAIN not in contend and (PLAIN in asked or len(contend) > 1)
+
+
 def shows_itself(evidence: Evidence, base: Found, found: Found, effect: str) -> bool:
     """Whether a search beside `base` found bristles that do more than slide, or friction that is
     seen to warm; of any other effect, yes."""
-    params = found.model.effects.get(effect)
-    if effect == BRISTLES and params is not None:
-        return float(params.breakaway_angle_rad) >= SLIDING_RAD
-    return effect != WARMING or params is None or is_seen_to_warm(evidence, base, found)
+    if effect == BRISTLES:
+        return float(found.model.effects[BRISTLES].breakaway_angle_rad) >= SLIDING_RAD
+    return effect != WARMING or is_seen_to_warm(evidence, base, found)
 
 
 def is_seen_to_warm(evidence: Evidence, base: Found, warm: Found) -> bool:

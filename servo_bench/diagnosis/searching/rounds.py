@@ -22,7 +22,7 @@ from servo_bench.diagnosis.searching.coasting import with_coasting
 from servo_bench.diagnosis.searching.contenders import REFINES, Round, all_costs, faced
 from servo_bench.diagnosis.searching.gate import RIGHT, misfit
 from servo_bench.diagnosis.searching.hypotheses import SPRINGS, VEHICLE, Hypothesis, Trial
-from servo_bench.diagnosis.searching.refining import BRISTLES, PLAIN, shows_itself
+from servo_bench.diagnosis.searching.refining import BRISTLES, must_show_itself, shows_itself
 from servo_bench.diagnosis.searching.screening import Screened, screen
 from servo_bench.diagnosis.searching.seeking import Found, seek, settle
 from servo_bench.diagnosis.searching.stepping import surprise
@@ -108,17 +108,11 @@ def play_round(
     cold = base if settled else _sought(quick, base, sigma)
     rested = _rested(quick, cold, sigma, without)
     ends = [(gone_on(quick, rested, f, _own(one)), one.hypothesis) for one, f in again]
-    if _must_show_itself({h.effect for h in hypotheses}, [h.effect for _, h in ends]):
+    if must_show_itself({h.effect for h in hypotheses}, [h.effect for _, h in ends]):
         ends = [pair for pair in ends if shows_itself(quick, rested, pair[0], pair[1].effect)]
     if not ends:
         return _nothing(quick, base, screened)
     return faced(quick, rested, ends, screened, sigma=sigma)
-
-
-def _must_show_itself(asked: Collection[str], contend: Sequence[str]) -> bool:
-    """Whether a law that refines plain friction must show what it adds: where that is no rival. One
-    that is alone, and plain friction not asked, is told as what stands in for it (`doubts`)."""
-    return PLAIN not in contend and (PLAIN in asked or len(contend) > 1)
 
 
 def _nothing(quick: Evidence, base: Found, screened: tuple[Screened, ...]) -> Round:

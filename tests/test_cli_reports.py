@@ -1,6 +1,7 @@
 """`analyse` and `paper` as an operator calls them."""
 
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -95,11 +96,23 @@ def test_a_memory_beyond_the_polynomials_is_refused(recording: Path) -> None:
     assert isinstance(error, FitError)
 
 
-def test_a_folder_that_is_missing_is_said(recording: Path, tmp_path: Path) -> None:
-    words = ("--estimator", "correlation", "--json", tmp_path / "no" / "out.json")
-    _, _, error = _call("analyse", recording, *words)
+def test_an_output_without_a_place_is_said_before_anything_is_read(tmp_path: Path) -> None:
+    nothing, out = tmp_path / "nothing.mcap", tmp_path / "out.json"
+    _, _, error = _call("analyse", nothing, "--json", tmp_path / "no" / "out.json")
     assert isinstance(error, ConfigError)
-    assert "cannot be written" in str(error)
+    assert "cannot be written: its folder is not there" in str(error)
+    _, _, error = _call("analyse", nothing, "--json", out, "--report", out)
+    assert isinstance(error, ConfigError)
+    assert "named for two outputs" in str(error)
+
+
+def test_a_folder_that_nobody_may_write_into_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "access", lambda *_: False)  # root may write into every folder
+    _, _, error = _call("analyse", tmp_path / "nothing.mcap", "--json", tmp_path / "out.json")
+    assert isinstance(error, ConfigError)
+    assert "nobody may write" in str(error)
 
 
 def test_paper_writes_figures_and_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

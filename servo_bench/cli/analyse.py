@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from servo_bench.cli.output import refuse_existing, write_json, write_text
+from servo_bench.cli.output import check_outputs, write_json, write_text
 from servo_bench.estimators.registry import ESTIMATORS
 from servo_bench.estimators.study import Study, study
 from servo_bench.kernels.analysis import Analysis
@@ -55,7 +55,7 @@ def analyse(
     Prints the main figures; writes a report and the figures where asked to. Estimators beside the
     paper's are judged on the same validation, and against a grey box on inputs never played.
     """
-    refuse_existing(report, json)
+    check_outputs(report, json)
     loaded = load(recording)
     analysis = analyse_recording(loaded, memory=memory, polynomial=polynomial)
     names = [name.strip() for name in estimator.split(",")] if estimator is not None else []

@@ -18,7 +18,7 @@ from servo_bench.benchmark import recording as recording_benchmark
 from servo_bench.benchmark import volterra as volterra_benchmark
 from servo_bench.benchmark.sweep import measure_all
 from servo_bench.benchmark.volterra import SEEDS
-from servo_bench.cli.output import refuse_existing, write_json
+from servo_bench.cli.output import check_outputs, write_json
 from servo_bench.cli.progress import run_progress
 from servo_bench.recording.provenance import provenance
 from servo_bench.run.realtime import PRIORITY
@@ -54,7 +54,7 @@ def cycle(
     json: Json = None,
 ) -> None:
     """The bus loop's punctuality beside a C loop on the same CPU, and what a listener sees."""
-    refuse_existing(json)
+    check_outputs(json)
     console = Console(stderr=True)
     if cases:
         say = partial(console.print, markup=False)
@@ -79,7 +79,7 @@ def experiment(
     json: Json = None,
 ) -> None:
     """The paper's experiment on the software rig over the real wire: VAF against its target."""
-    refuse_existing(json)
+    check_outputs(json)
     with run_progress(Console(stderr=True)) as progress:
         figures = experiment_benchmark.measure(name, progress=progress)
     _show(figures, json)
@@ -90,7 +90,7 @@ def kernels(
     *, seed: Annotated[int, typer.Option(min=0, help="Seed of the draws.")] = 1, json: Json = None
 ) -> None:
     """Time of extraction and prediction, and the paper's figures."""
-    refuse_existing(json)
+    check_outputs(json)
     _show(kernels_benchmark.measure(seed), json)
 
 
@@ -99,7 +99,7 @@ def recording(
     *, seed: Annotated[int, typer.Option(min=0, help="Seed of the rows.")] = 1, json: Json = None
 ) -> None:
     """Time to read 131 s at 8 ms, beside the mcap library's own reader."""
-    refuse_existing(json)
+    check_outputs(json)
     _show(recording_benchmark.measure(seed), json)
 
 
@@ -110,7 +110,7 @@ def model(
     json: Json = None,
 ) -> None:
     """The simulation beside a hand-written loop, its start-up, and its step halving."""
-    refuse_existing(json)
+    check_outputs(json)
     _show(model_benchmark.measure(seed), json)
 
 
@@ -125,7 +125,7 @@ def volterra(
     json: Json = None,
 ) -> None:
     """Every estimator on plants outside its class, on input it never saw; and the transforms."""
-    refuse_existing(json)
+    check_outputs(json)
     _show(volterra_benchmark.measure(range(seed, seed + seeds), plants), json)
 
 
@@ -146,7 +146,7 @@ def daemon(
     """What the daemon costs the bus loop; its start, its stop, a sample's way to a page."""
     from servo_bench.benchmark import daemon as daemon_benchmark  # noqa: PLC0415 - an extra
 
-    refuse_existing(json)
+    check_outputs(json)
     console = Console(stderr=True)
     effort = daemon_benchmark.FULL if full else daemon_benchmark.SHORT
     if minutes is not None:

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from servo_bench.catalogue import Catalogue, Run
 from servo_bench.catalogue.retention import age, delete, let_go
-from servo_bench.cli.output import refuse_existing, write_json
+from servo_bench.cli.output import check_outputs, write_json
 from servo_bench.errors import ConfigError, RecordingError
 from servo_bench.files import read_toml
 
@@ -50,7 +50,7 @@ def search(
     json: Json = None,
 ) -> None:
     """Runs in whose name, experiment, rig, notes, tags, or verdict every word occurs."""
-    refuse_existing(json)
+    check_outputs(json)
     catalogue = Catalogue(_chosen(folder), index)
     catalogue.refresh()
     page = catalogue.search(" ".join(words or ()), tag, limit, offset)

@@ -13,7 +13,7 @@ from servo_bench.check.judge import Judgement, judge
 from servo_bench.check.junit import error_xml, judgement_xml
 from servo_bench.check.page import judgement_page
 from servo_bench.check.plan import Plan, load_plan
-from servo_bench.cli.output import refuse_existing, write_bytes, write_json, write_text
+from servo_bench.cli.output import check_outputs, write_bytes, write_json, write_text
 from servo_bench.cli.run import STOPPED_BY_OPERATOR, play, tell_summary
 from servo_bench.errors import BenchError
 from servo_bench.excitation.experiment import Experiment
@@ -53,7 +53,7 @@ def check(
     On a software rig made from the rig's file, unless --permit-real-rig. Exit code 0 where every
     limit holds, 10 where one does not; errors keep their own.
     """
-    refuse_existing(out, report, json, junit)
+    check_outputs(out, report, json, junit)
     wanted, experiment, rig = load_plan(plan)
     console = Console(stderr=True, emoji=False)
     try:

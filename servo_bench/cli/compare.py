@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from servo_bench.cli.output import refuse_existing, write_json
+from servo_bench.cli.output import check_outputs, write_json
 from servo_bench.recording.mcap_file import load
 from servo_bench.replay.change import Change
 from servo_bench.replay.compare import Comparison
@@ -32,7 +32,7 @@ def compare(
 
     Says what has changed, by how much, and in which block; and what chance explains.
     """
-    refuse_existing(json)
+    check_outputs(json)
     found = compare_recordings(load(first), load(second))
     if json is not None:
         write_json(json, found.numbers())

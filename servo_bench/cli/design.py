@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.progress import track
 from rich.table import Table
 
-from servo_bench.cli.output import refuse_existing, write_text
+from servo_bench.cli.output import check_outputs, write_text
 from servo_bench.diagnosis.candidates import candidates
 from servo_bench.diagnosis.design import Separation, ranked, separation
 from servo_bench.diagnosis.judging.extended import toml_lines
@@ -53,7 +53,7 @@ def diagnosis(
     Prints the ranking of a small grid inside the rig's limits, and writes the best as an
     experiment that `servo-bench run` takes.
     """
-    refuse_existing(out)
+    check_outputs(out)
     config = load_rig(rig)
     names = () if effects == "all" else tuple(n.strip() for n in effects.split(",") if n.strip())
     check_effects(names)

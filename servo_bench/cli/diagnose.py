@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from servo_bench.cli.output import refuse_existing, write_json, write_text
+from servo_bench.cli.output import check_outputs, write_json, write_text
 from servo_bench.diagnosis.concluding import conclude
 from servo_bench.diagnosis.fitting.model_file import load_model, model_text
 from servo_bench.diagnosis.judging.extended import extended_rig, found_model, rig_text
@@ -78,7 +78,7 @@ def diagnose(
         raise ConfigError(
             "--rig and --model are given both, and each has nominal values of its own: give one."
         )
-    refuse_existing(json, report, rig_out, model_out)
+    check_outputs(json, report, rig_out, model_out)
     left_out, alone = _names(without), _names(only)
     check_effects(left_out, alone)
     loaded = [load(path) for path in recordings]

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from servo_bench.cli.output import refuse_existing, write_bytes, write_text
+from servo_bench.cli.output import check_outputs, write_bytes, write_text
 from servo_bench.diagnosis.judging.domains import Domains, domains
 from servo_bench.diagnosis.judging.signature import CHANNELS, Rival, rivals, signatures
 from servo_bench.errors import ConfigError
@@ -55,7 +55,7 @@ def show(
     effect = find_effect(name)
     if out is not None and out.suffix.lower() not in ENDINGS:
         raise ConfigError(f"{out} ends in {out.suffix!r}: name a file that ends in .html or .png.")
-    refuse_existing(out)
+    check_outputs(out)
     console = Console()
     _describe(console, effect)
     with console.status("simulating the whole catalogue"):

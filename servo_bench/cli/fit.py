@@ -12,13 +12,14 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from servo_bench.cli.output import refuse_existing, write_json, write_text
+from servo_bench.cli.output import check_outputs, write_json, write_text
 from servo_bench.diagnosis.comparing.comparison import Choice
 from servo_bench.diagnosis.fitting.fit import Fit
 from servo_bench.diagnosis.fitting.fit import fit as fit_recording
 from servo_bench.diagnosis.fitting.foreign_start import starting_model
 from servo_bench.diagnosis.fitting.model_file import load_model, model_text
 from servo_bench.diagnosis.fitting.solver import Progress as Where
+from servo_bench.diagnosis.judging.excitations import check_apart
 from servo_bench.errors import ConfigError, FitError
 from servo_bench.recording.mcap_file import load
 from servo_bench.recording.recording import Recording
@@ -70,10 +71,11 @@ def fit(
     Says which of them the recording cannot tell apart, and what the fit gains on data that it
     never saw. Exit code 7 where the search failed; the figures are written all the same.
     """
-    refuse_existing(json, model_out)
+    check_outputs(json, model_out)
     loaded = load(recording)
     start = _start(loaded, rig, model)
     other = load(held_out) if held_out is not None else None
+    check_apart([loaded], other)
     console = Console(stderr=True)
     with _progress(console) as report:
         found = fit_recording(

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from servo_bench.cli.output import refuse_existing
+from servo_bench.cli.output import check_outputs
 from servo_bench.foreign.importing import read_foreign
 from servo_bench.foreign.maps import load_map
 from servo_bench.recording.blocks import blocks_of
@@ -34,7 +34,7 @@ def import_(
     The map names each column's role and unit. Times stay as irregular as they are, nothing is
     resampled, and whatever was dropped is said here and in the recording.
     """
-    refuse_existing(out)
+    check_outputs(out)
     recording = read_foreign(file, load_map(map_))
     save_measured(recording, out)
     _tell(recording, out, Console(stderr=True))

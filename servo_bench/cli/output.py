@@ -1,6 +1,7 @@
 """Writing results where the operator said, never over something that is there."""
 
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -8,11 +9,25 @@ from typing import Any
 from servo_bench.errors import ConfigError
 
 
-def refuse_existing(*paths: Path | None) -> None:
-    """Raise ConfigError where one of the outputs is already there."""
-    for path in paths:
-        if path is not None and path.exists():
+def check_outputs(*paths: Path | None) -> None:
+    """Raise ConfigError where an output is there already, named twice, or to be written nowhere.
+
+    Asked before anything is computed: what took minutes is not to end without a place to go.
+    """
+    named = [path for path in paths if path is not None]
+    for path in named:
+        if named.count(path) > 1:
+            raise ConfigError(f"{path} is named for two outputs: give each a file of its own.")
+        if path.exists():
             raise ConfigError(f"{path} exists already: name another file, or move it away.")
+        if not path.parent.is_dir():
+            raise _cannot_be_written(path, "its folder is not there")
+        if not os.access(path.parent, os.W_OK):
+            raise _cannot_be_written(path, "nobody may write into its folder")
+
+
+def _cannot_be_written(path: Path, why: str | None) -> ConfigError:
+    return ConfigError(f"{path} cannot be written: {why}. Name a file in a folder that exists.")
 
 
 def new_folder(path: Path) -> None:
@@ -36,11 +51,9 @@ def write_bytes(path: Path, content: bytes) -> None:
         with path.open("xb") as file:
             file.write(content)
     except FileExistsError:
-        refuse_existing(path)
+        check_outputs(path)
     except OSError as error:
-        raise ConfigError(
-            f"{path} cannot be written: {error.strerror}. Name a file in a folder that exists."
-        ) from error
+        raise _cannot_be_written(path, error.strerror) from error
 
 
 def write_json(path: Path, numbers: Mapping[str, Any]) -> None:

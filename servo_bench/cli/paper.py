@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from servo_bench.cli.output import refuse_existing, write_json, write_text
+from servo_bench.cli.output import check_outputs, write_json, write_text
 from servo_bench.kernels.paper_simulation import PaperResult, simulate_paper
 from servo_bench.report.html import paper_report
 from servo_bench.report.wording import percent
@@ -29,7 +29,7 @@ def paper(
 
     Needs no rig. The fresh figures are against random binary input that no fit saw.
     """
-    refuse_existing(report, json)
+    check_outputs(report, json)
     result = simulate_paper()
     if json is not None:
         write_json(json, result.numbers())

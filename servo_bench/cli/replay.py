@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from servo_bench.catalogue.beside import beside, read_json
-from servo_bench.cli.output import refuse_existing, write_json
+from servo_bench.cli.output import check_outputs, write_json
 from servo_bench.cli.run import play, tell_summary
 from servo_bench.errors import ConfigError, LimitError, RecordingError
 from servo_bench.excitation.experiment import Experiment
@@ -67,7 +67,7 @@ def replay(
     """
     if sum(way is not None for way in (to, against, through)) != 1:
         raise ConfigError("give one of --to URL, --against RIG, --through analyser.")
-    refuse_existing(json, out)
+    check_outputs(json, out)
     console = Console(stderr=True, emoji=False)
     if to is not None:
         number = show(Daemon(to, _token(token_file)), recording, speed, start_s)

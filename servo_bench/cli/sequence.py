@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from servo_bench.cli.output import refuse_existing, write_json
+from servo_bench.cli.output import check_outputs, write_json
 from servo_bench.excitation.amplitude import advise_amplitude
 from servo_bench.excitation.msequence import m_sequence
 from servo_bench.excitation.search import SequenceSearch
@@ -39,7 +39,7 @@ def search(
     json: Json = None,
 ) -> None:
     """Every primitive polynomial of a degree, judged for kernels of that memory and order."""
-    refuse_existing(json)
+    check_outputs(json)
     found = search_polynomials(degree, memory, order, inverse_repeat=inverse_repeat)
     if json is not None:
         write_json(json, asdict(found))
@@ -56,7 +56,7 @@ def show(
     json: Json = None,
 ) -> None:
     """Where the kernels' slices lie in the correlation, and what the sequence can identify."""
-    refuse_existing(json)
+    check_outputs(json)
     slices = sequence_slices(polynomial, memory, order)
     sentences = described(polynomial, memory, order, inverse_repeat=inverse_repeat)
     if json is not None:
@@ -84,7 +84,7 @@ def amplitude(
     json: Json = None,
 ) -> None:
     """The range of velocities that shows a rig's backlash within its limits."""
-    refuse_existing(json)
+    check_outputs(json)
     loaded = load_rig(rig)
     nominal, limits = loaded.nominal, loaded.limits
     bandwidth = np.sqrt(

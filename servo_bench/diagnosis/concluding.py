@@ -12,6 +12,7 @@ import numpy as np
 from servo_bench.diagnosis.comparing.rows import filtered
 from servo_bench.diagnosis.diagnose import believed, investigate
 from servo_bench.diagnosis.elsewhere import Shown, is_open, judge_open
+from servo_bench.diagnosis.judging.excitations import check_apart, same_commands
 from servo_bench.diagnosis.judging.judgement import verdict_of
 from servo_bench.diagnosis.judging.picture import picture
 from servo_bench.diagnosis.judging.undecided import check_alike, open_questions, undecided
@@ -52,7 +53,7 @@ def conclude(
     `model` is what is believed, else that of `rig`, else of the first recording's own; the others
     are as in `diagnose`.
     ConfigError where no rig is known and the data are not from elsewhere, or where the recordings
-    do not go together.
+    do not go together or are the same.
     """
     if rig is not None:  # what is known of the drive now, nobody may have known at the recording
         by_s = rig.drive.torque_filter_s
@@ -63,17 +64,19 @@ def conclude(
         model = config.model()
     elsewhere = model is None and all(is_open(one) for one in recordings)
     check_alike(recordings, held_out, one_period=not elsewhere)
+    check_apart(recordings, held_out)
     if model is None and not elsewhere:
         model = believed(recordings)
+    same = tuple(same_commands(recordings, held_out))
     try:
         if model is None:
             judged = judge_open(recordings, held_out=held_out, without=without, only=only)
-            return Concluded(judged.verdict, None, judged.shown)
+            return Concluded(_open_still(judged.verdict, same), None, judged.shown)
         finding = investigate(
             recordings, model=model, held_out=held_out, without=without, only=only, report=report
         )
         report("writing the verdict")
-        return Concluded(_told(finding), finding)
+        return Concluded(_open_still(_told(finding), same), finding)
     except FAILED as error:
         return Concluded(undecided(error, recordings), None)
 
@@ -83,3 +86,8 @@ def _told(finding: Finding) -> Verdict:
     verdict = verdict_of(finding)
     open_still = (*verdict.undecided, *open_questions(finding.recordings[0]))
     return verdict.model_copy(update={"signature": picture(finding), "undecided": open_still})
+
+
+def _open_still(verdict: Verdict, more: tuple[str, ...]) -> Verdict:
+    """The verdict, with what else is open."""
+    return verdict.model_copy(update={"undecided": (*verdict.undecided, *more)})

@@ -2,7 +2,8 @@
 
     named     every accepted cause survived, and what is left is what a right simulation may miss
     unknown   more is left than that; or what was found cannot be (a torque line at no whole order);
-              or something stands in the data that no effect makes (a tone, creep, wild samples);
+              or something stands in the data that no effect makes (a tone, creep, wild samples,
+              an angle that stands still or jumps);
               or a cause is not as large at the recording's end as it was at its beginning;
               or it is not missed where what every rig has may be more (`letting_go`)
     none      neither
@@ -16,12 +17,16 @@ import numpy as np
 
 from servo_bench.diagnosis.comparing.rows import Array, Mask
 from servo_bench.diagnosis.fitting.free import unit_of
+from servo_bench.diagnosis.judging.broken import Rig, broken
 from servo_bench.diagnosis.judging.causes import causes_of
 from servo_bench.diagnosis.judging.gain import error_figures
 from servo_bench.diagnosis.judging.intervals import limits_of, names_of
 from servo_bench.diagnosis.judging.sensors import misread
 from servo_bench.diagnosis.judging.steadiness import CHANGES, slope_of
-from servo_bench.diagnosis.judging.undecided import without_the_motor_s_angle
+from servo_bench.diagnosis.judging.undecided import (
+    without_the_load_s_angle,
+    without_the_motor_s_angle,
+)
 from servo_bench.diagnosis.judging.verdict import (
     Cause,
     ErrorFigures,
@@ -30,7 +35,7 @@ from servo_bench.diagnosis.judging.verdict import (
 )
 from servo_bench.diagnosis.searching.coasting import given_back, is_coasting, slowing_rad_s2
 from servo_bench.diagnosis.searching.finding import Finding
-from servo_bench.diagnosis.searching.gate import RIGHT, RIGHT_ALREADY
+from servo_bench.diagnosis.searching.gate import RIGHT, RIGHT_ALREADY, strength_of
 from servo_bench.diagnosis.searching.hypotheses import DETECTED, ON_THE_LOAD
 from servo_bench.diagnosis.searching.readying import order_tolerance
 from sim_rig.effects import find_effect
@@ -97,6 +102,7 @@ def _has_a_name(cause: Cause) -> bool:
 
 def _strange(finding: Finding) -> Iterator[str]:
     """What no effect of the catalogue makes, in sentences."""
+    yield from broken(finding.recordings, finding.held_out, _rig_of(finding))
     if finding.tone is not None:
         rate_hz = 1.0 / finding.recordings[0].period_s
         yield (
@@ -130,6 +136,14 @@ def _strange(finding: Finding) -> Iterator[str]:
             f"{doubt.effect.replace('_', ' ').capitalize()} takes the place of what was not asked "
             f"as a cause: it is not missed beside more {more} than every rig has."
         )
+
+
+def _rig_of(finding: Finding) -> Rig:
+    nominal = finding.nominal.nominal
+    stiff = nominal.torque_constant_nm_per_a * nominal.integral_gain_a_per_rad
+    held_rad = finding.scales.rig_torque_nm / stiff if stiff > 0.0 else np.inf
+    stands_rad_s = strength_of(finding.final.model, "command_deadband")
+    return Rig(nominal.backlash_gap_rad, stands_rad_s, held_rad)
 
 
 def _unsteady(finding: Finding) -> Iterator[str]:
@@ -210,6 +224,7 @@ def _coasting(model: Model) -> Iterator[str]:
 def _undecided(finding: Finding) -> Iterator[str]:
     first = finding.recordings[0]
     yield from without_the_motor_s_angle(first)
+    yield from without_the_load_s_angle(first)
     if "load_angle_rad" in first and 0.0 < _travel(first["load_angle_rad"]) < FULL_TURN:
         yield (
             "The load made less than a full turn: what repeats with its angle (eccentricity, "

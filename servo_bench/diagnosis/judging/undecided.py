@@ -162,6 +162,16 @@ def open_questions(recording: Recording) -> Iterator[str]:
         )
 
 
+def without_the_load_s_angle(recording: Recording) -> Iterator[str]:
+    """What nothing is known of where that did not come."""
+    if not _came(recording, "load_angle_rad"):
+        yield (
+            "The load's angle did not come: of what is behind the motor (gap, coupling, load) "
+            "nothing is known but what the motor feels. Look at the encoder's line; record "
+            "load_angle_rad."
+        )
+
+
 def without_the_motor_s_angle(recording: Recording) -> Iterator[str]:
     """What is told apart by less where that did not come, and what would have to be recorded."""
     if _came(recording, "motor_position_rad"):

@@ -10,6 +10,7 @@ from servo_bench.diagnosis.comparing.allowance import SCALES
 from servo_bench.diagnosis.comparing.comparison import compare
 from servo_bench.diagnosis.comparing.low_pass import low_passed
 from servo_bench.diagnosis.comparing.rows import Array
+from servo_bench.diagnosis.concluding import conclude
 from servo_bench.diagnosis.judging.sensors import misread
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
@@ -20,12 +21,12 @@ RUBBING = MODEL.with_effect("coulomb", torque_nm=0.01)
 SLOTS = 500
 
 
-def logged(seed: int, rig: Model = RUBBING) -> Recording:
+def logged(seed: int, rig: Model = RUBBING, slots: int = SLOTS) -> Recording:
     """What a logger has of a rig that rubs more than its file says."""
-    played = np.random.default_rng(seed).uniform(-4.0, 4.0, SLOTS)
+    played = np.random.default_rng(seed).uniform(-4.0, 4.0, slots)
     run = recorded(rig, seed, played=played)
     names = ("velocity_command_rad_s", "motor_position_rad", "motor_torque_nm", "load_angle_rad")
-    channels = {"t_s": PERIOD_S * np.arange(SLOTS), **{name: run[name] for name in names}}
+    channels = {"t_s": PERIOD_S * np.arange(slots), **{name: run[name] for name in names}}
     return replace(run, channels=channels)
 
 
@@ -61,6 +62,28 @@ def test_a_command_in_another_unit_is_not_told_as_two_wrong_encoders(scale: floa
     assert sentence.startswith("Motor and load move")
     assert "command's unit" in sentence
     assert float(sentence.split()[4]) == pytest.approx(scale, rel=0.15)
+
+
+@pytest.mark.parametrize("scale", [-1.0, 0.1, 10.0])
+def test_a_torque_of_another_size_or_sign_is_told(scale: float) -> None:
+    run = logged(42)
+    (sentence,) = told(with_channel(run, "motor_torque_nm", scale * run["motor_torque_nm"]))
+    assert sentence.startswith("The drive's torque is")
+    assert float(sentence.split()[4]) == pytest.approx(scale, rel=0.2)
+
+
+def test_a_torque_that_says_nothing_is_told() -> None:
+    run = logged(42)
+    (sentence,) = told(with_channel(run, "motor_torque_nm", np.full(SLOTS, 0.02)))
+    assert sentence.startswith("The drive's torque stays at 0.02 N m")
+
+
+@pytest.mark.parametrize("rig", [MODEL, RUBBING], ids=["nominal", "rubbing"])
+def test_angles_that_are_exchanged_are_told(rig: Model) -> None:
+    run = logged(42, rig)
+    other = with_channel(run, "motor_position_rad", run["load_angle_rad"])
+    (sentence,) = told(with_channel(other, "load_angle_rad", run["motor_position_rad"]), rig)
+    assert "exchange the two channels" in sentence
 
 
 @pytest.mark.parametrize(
@@ -129,3 +152,15 @@ def test_a_low_pass_answers_a_jump_and_a_ramp_as_its_equation_says() -> None:
     values = np.where(t_s > 0.1, 1.0 + 5.0 * since_s, 0.0)
     expected = (1.0 - 5.0 * tau_s) * (1.0 - np.exp(-since_s / tau_s)) + 5.0 * since_s
     np.testing.assert_allclose(low_passed(t_s, values, tau_s), expected, atol=1e-7)
+
+
+@pytest.mark.parametrize("scale", [-1.0, 180.0 / np.pi])
+def test_a_diagnosis_ends_at_once_where_an_angle_is_not_the_rigs(scale: float) -> None:
+    """Laws bent to a wrong map had taken twenty minutes, and the verdict said nothing of it."""
+    run = logged(44, slots=3 * SLOTS)
+    wrong = with_channel(run, "motor_position_rad", scale * run["motor_position_rad"])
+    begun = list[str]()
+    verdict = conclude([wrong], model=MODEL, report=begun.append).verdict
+    assert verdict.verdict == "unknown"
+    assert "The motor's angle moves" in verdict.sentence
+    assert begun == ["base fit"]

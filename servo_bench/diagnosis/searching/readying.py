@@ -13,6 +13,7 @@ import numpy as np
 from servo_bench.diagnosis.comparing.comparison import Choice, compare
 from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of, quick_evidence
 from servo_bench.diagnosis.comparing.rows import Rows
+from servo_bench.diagnosis.reading.channels import wrong_angles
 from servo_bench.diagnosis.reading.lost import (
     LostCommands,
     heard,
@@ -26,6 +27,7 @@ from servo_bench.diagnosis.searching.rounds import Told
 from servo_bench.diagnosis.searching.scales import Scales, band_of, scales_of
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unknowns import Unknown
+from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 
@@ -67,12 +69,13 @@ def made_ready(
     without: Collection[str],
     report: Told,
 ) -> Ready:
-    """Base fit, orders, and what was lost."""
+    """Base fit, orders, and what was lost. FitError where an angle is not the rig's."""
     report("base fit")
     quick = quick_evidence(recordings, model, _quick_rows(recordings), block=block)
     longest_s = max(len(recording) * recording.period_s for recording in recordings)
     scales = _scales(quick, model)._replace(seconds=longest_s)
     band = band_of(scales, model)
+    _refuse_wrong_angles(quick, model)
     base = seek(quick, model, band, iterations=4)
     timed = _timed(recordings, held_out, quick, base, block)
     if timed.notes:
@@ -93,6 +96,13 @@ def made_ready(
         motor, waves = _waves(quick, base.model)
     known_so_far = (lost, quick, base, scales, band, motor, waves)
     return Ready(recordings, held_out, *known_so_far, told, timed.holes, timed.notes)
+
+
+def _refuse_wrong_angles(quick: Evidence, model: Model) -> None:
+    """FitError where an angle is not the rig's: every law would be bent to what the map says."""
+    wrong = [sentence for one in quick.fitted for sentence in wrong_angles(one, model)]
+    if wrong:
+        raise FitError(" ".join(dict.fromkeys(wrong)))
 
 
 class _Timed(NamedTuple):

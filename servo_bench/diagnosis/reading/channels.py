@@ -1,0 +1,107 @@
+"""An angle that is counted another way than the rig's file says, or another shaft's.
+
+    measured increments over the simulated ones     sign, counts per revolution, gear
+    the measured twist, turned round                motor and load exchanged
+
+A loop with an integrator turns as far as it is told, whatever rubs or gives way: no physics makes
+these, and nothing can be told of any while they last.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from servo_bench.diagnosis.comparing.comparison import Comparison
+from servo_bench.diagnosis.comparing.rows import Array
+from sim_rig.model import Model
+
+ANGLES = {"motor_position_rad": "motor's angle", "load_angle_rad": "load's angle"}
+ONE_SCALE = 0.15
+LONG_ROWS = 12
+"""Of increments that a gap or a loop's answer hardly changes."""
+ALIKE, ANOTHER_SIZE = 0.9, 0.3
+"""Correlation of a channel that is the rig's but for its scale; and how far that is from one."""
+EXCHANGED = 0.5
+"""Of the twist's error as it is, what is left of it turned round."""
+
+
+def wrong_angles(comparison: Comparison, model: Model) -> Iterator[str]:
+    """What is so of an angle of a closed loop's recording, one sentence for each."""
+    if comparison.block != "loop" or commanded_scale(comparison, model) is not None:
+        return
+    scaled = dict(_scales(comparison, model))
+    for channel, scale in scaled.items():
+        yield (
+            f"The {ANGLES[channel]} moves {scale:.3g} times as far as the rig's would: look at its "
+            "sign, its counts per revolution, and the gear between."
+        )
+    if not scaled and _are_exchanged(comparison, model):
+        yield (
+            "The load's angle moves as the motor's should, and the motor's as the load's: exchange "
+            "the two channels, or the encoders' lines."
+        )
+
+
+def commanded_scale(comparison: Comparison, model: Model) -> float | None:
+    """So many times as far as the command asks both angles move, where that is not once."""
+    scales = [scale for _, scale in _scales(comparison, model)]
+    one = len(scales) == len(ANGLES) and np.ptp(scales) < ONE_SCALE * np.abs(scales).max()
+    return float(np.mean(scales)) if one else None
+
+
+def _scales(comparison: Comparison, model: Model) -> Iterator[tuple[str, float]]:
+    for channel in ANGLES:
+        if not comparison.source.rows.has(channel):
+            continue
+        scale = another_size(*_increments(comparison, model, channel))
+        if scale is not None:
+            yield channel, scale
+
+
+def another_size(measured: Array, shown: Array) -> float | None:
+    """The one over the other, where they are alike but for that, and it is far from one."""
+    size = float(shown @ shown)
+    alike = float(measured @ shown) / max(np.sqrt(size * float(measured @ measured)), 1e-30)
+    scale = float(measured @ shown) / max(size, 1e-30)
+    return scale if abs(alike) > ALIKE and abs(scale - 1.0) > ANOTHER_SIZE else None
+
+
+def _are_exchanged(comparison: Comparison, model: Model) -> bool:
+    """Whether the measured twist is the simulated one turned round."""
+    if not all(comparison.source.rows.has(channel) for channel in ANGLES):
+        return False
+    motor, load = (values_of(comparison, model, channel, channel) for channel in ANGLES)
+    if not motor[0].size:
+        return False
+    measured, shown = (one - np.median(one) for one in (load[0] - motor[0], load[1] - motor[1]))
+    as_it_is, turned = (float(np.median(np.abs(measured - k * shown))) for k in (1.0, -1.0))
+    return turned < EXCHANGED * as_it_is
+
+
+def values_of(
+    comparison: Comparison, model: Model, channel: str, simulated: str
+) -> tuple[Array, Array]:
+    """What was measured and what is simulated, in the rows in which every angle and it came."""
+    rows = comparison.source.rows
+    names = [n for n in (*ANGLES, channel) if rows.has(n)]
+    found = []
+    for points in comparison.pieces:
+        at = points.piece.rows
+        came = np.logical_and.reduce([np.isfinite(rows.channel(n)[at]) for n in names])
+        shown = comparison.source.play(model, points.piece)[simulated]
+        found.append(np.stack([rows.channel(channel)[at], shown])[:, came])
+    measured, played = np.concatenate(found, axis=1)
+    return measured, played
+
+
+def _increments(comparison: Comparison, model: Model, channel: str) -> tuple[Array, Array]:
+    found = []
+    for points in comparison.pieces:
+        shown = comparison.source.play(model, points.piece)[channel]
+        came = comparison.source.rows.channel(channel)[points.piece.rows]
+        both = np.stack(
+            [came[LONG_ROWS:] - came[:-LONG_ROWS], shown[LONG_ROWS:] - shown[:-LONG_ROWS]]
+        )
+        found.append(both[:, np.isfinite(both).all(axis=0)])
+    measured, simulated = np.concatenate(found, axis=1)
+    return measured, simulated

@@ -16,6 +16,7 @@ from tests.fit_recordings import NOMINAL, PERIOD_S, STANDSTILL, recorded, with_c
 MODEL = Model(NOMINAL)
 GAP_RAD = NOMINAL.backlash_gap_rad
 LOAD, MOTOR, COMMAND = "load_angle_rad", "motor_position_rad", "velocity_command_rad_s"
+TORQUE = "motor_torque_nm"
 BREAKS = 400
 
 
@@ -84,6 +85,24 @@ RIGS = {
 def test_what_a_rig_does_is_no_break(rig: str, of: object) -> None:
     assert callable(of)
     assert told(of(recorded(RIGS[rig], 5))) == []
+
+
+@pytest.mark.parametrize("stays_nm", [0.0, 0.02])
+def test_a_torque_that_is_silent_is_told_with_its_time(stays_nm: float) -> None:
+    run = recorded(MODEL, 3)
+    torque = np.array(run[TORQUE])
+    torque[BREAKS : BREAKS + 200] = stays_nm
+    (said,) = told(with_channels(run, motor_torque_nm=torque))
+    assert f"torque stays at {stays_nm:g} for 1.59 s" in said
+
+
+@pytest.mark.parametrize("quantum_nm", [0.0, 5e-3, 0.05])
+def test_a_torque_in_coarse_steps_or_at_its_limit_is_not_silent(quantum_nm: float) -> None:
+    """Up to a twentieth of what the largest commands take, and cut off at a tenth of it."""
+    run = recorded(MODEL.with_effect("current_limit", limit_per_a=0.3), 3)
+    torque = np.asarray(run[TORQUE])
+    coarse = np.rint(torque / quantum_nm) * quantum_nm if quantum_nm else np.clip(torque, -0.1, 0.1)
+    assert told(with_channels(run, motor_torque_nm=coarse)) == []
 
 
 def test_a_spoilt_word_and_another_size_are_no_jumps() -> None:

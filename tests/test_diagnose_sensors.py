@@ -12,6 +12,7 @@ from servo_bench.diagnosis.comparing.low_pass import low_passed
 from servo_bench.diagnosis.comparing.rows import Array
 from servo_bench.diagnosis.concluding import conclude
 from servo_bench.diagnosis.judging.sensors import misread
+from servo_bench.diagnosis.reading.channels import rows_ahead, wrap_steps
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, PERIOD_S, recorded
@@ -164,3 +165,46 @@ def test_a_diagnosis_ends_at_once_where_an_angle_is_not_the_rigs(scale: float) -
     assert verdict.verdict == "unknown"
     assert "The motor's angle moves" in verdict.sentence
     assert begun == ["base fit"]
+
+
+@pytest.mark.parametrize("channel", ["load_angle_rad", "motor_position_rad"])
+@pytest.mark.parametrize("turn_rad", [2.0 * np.pi, 1.5])
+def test_an_angle_that_is_told_within_a_turn_only_is_told(channel: str, turn_rad: float) -> None:
+    run = logged(45, slots=3 * SLOTS)
+    tilted = np.asarray(run[channel]) + 2.0 * np.arange(3 * SLOTS) * PERIOD_S
+    (sentence,) = told(with_channel(run, channel, np.mod(tilted, turn_rad)))
+    assert "within a turn only" in sentence
+    assert float(sentence.split()[6]) == pytest.approx(turn_rad, rel=0.02)
+
+
+def test_spoilt_words_and_lost_counts_are_no_wraps() -> None:
+    angle = np.array(logged(45)["load_angle_rad"])
+    assert wrap_steps(angle).size == 0
+    spoilt, lost = angle.copy(), angle.copy()
+    spoilt[50::50] += 6.0
+    lost[200:] += 6.0
+    assert wrap_steps(spoilt).size == 0
+    assert wrap_steps(lost).size == 0
+
+
+@pytest.mark.parametrize("rows", [1, 3])
+@pytest.mark.parametrize("rig", [MODEL, RUBBING], ids=["nominal", "rubbing"])
+def test_commands_that_are_logged_late_are_told(rig: Model, rows: int) -> None:
+    run = logged(46, rig)
+    behind = late(np.asarray(run["velocity_command_rad_s"]), rows)
+    (sentence,) = told(with_channel(run, "velocity_command_rad_s", behind), rig)
+    assert f"The motion comes {rows} row" in sentence
+
+
+@pytest.mark.parametrize(
+    "rig",
+    [
+        MODEL.with_effect("inertia_error", error_fraction=-0.4),
+        MODEL.with_effect("proportional_gain_error", error_fraction=0.5),
+        MODEL.with_effect("transport_delay", delay_s=8e-3),
+        MODEL.with_effect("clock_skew", skew_fraction=-1e-4),
+    ],
+    ids=["light", "stiff", "late", "ahead"],
+)
+def test_a_quick_rig_is_not_ahead_of_its_commands(rig: Model) -> None:
+    assert rows_ahead(compare(logged(47, rig), MODEL, scales=SCALES), MODEL) == 0

@@ -1,4 +1,4 @@
-"""An angle that its sensor or its line has broken: it stands while the axis turns, or it jumps.
+"""A channel that its sensor or its line has broken: it stands, jumps, or is silent.
 
 Robust fits pass over the rows of it, and would say that nothing is wrong. No model is asked here:
 
@@ -7,9 +7,10 @@ Robust fits pass over the rows of it, and would say that nothing is wrong. No mo
     jumps    from a row to the next it leaves the motor's angle (or, where that did not come, the
              command's integral) by more than a gap, a resonance, and the loop's lag allow, and
              stays there
+    silent   a torque or current is the same to the last digit through many commands
 
 A word that is spoilt and right again in the next rows is no jump (`hygiene.wild_samples`), and one
-that is of another size jumps all the time (`sensors`).
+that is of another size jumps all the time (`channels`).
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,8 +24,17 @@ from servo_bench.recording.recording import Recording
 
 MOTOR, LOAD, COMMAND = "motor_position_rad", "load_angle_rad", "velocity_command_rad_s"
 WORDS = {MOTOR: "motor's", LOAD: "load's"}
+EFFORTS = {
+    "motor_torque_nm": "torque",
+    "motor_current_a": "current",
+    "torque_nm": "torque",
+    "current_a": "current",
+}
 STILL_RAD, TURNED_RAD = 2e-3, 1.0
 """Less than any motion under a command, and more than any noise; and what was commanded."""
+SILENT_S, CHANGES = 1.0, 40
+"""So long, through so many changes of the command, no torque is the same: not one that is told in
+hundredths of its rated value, nor one at its limit."""
 GAPS, APART_RAD, LAG_ROWS = 2.0, 0.02, 3.0
 """Of a jump: beyond so many gaps and so much, and, beside the command's integral, as many rows at
 the largest command."""
@@ -70,6 +80,7 @@ def _of_one(recording: Recording, rig: Rig, where: str) -> Iterator[str]:
         if rows is not None:
             stand += _stands(rows, channel, rig, where)
     yield from stand or _jumps(recording, rig.gap_rad, where)
+    yield from _silent(recording, where)
 
 
 def _stands(rows: _Rows, channel: str, rig: Rig, where: str) -> Iterator[str]:
@@ -95,6 +106,29 @@ def _stays(angle: Array) -> Iterator[tuple[int, int]]:
             yield first, row - 1
             first, low, high = row, value, value
     yield first, angle.size - 1
+
+
+def _silent(recording: Recording, where: str) -> Iterator[str]:
+    name = next((name for name in EFFORTS if name in recording), None)
+    if name is None or COMMAND not in recording:
+        return
+    told = np.asarray(recording[name], np.float64)
+    came = np.isfinite(told)
+    changed = np.diff(np.asarray(recording[COMMAND], np.float64), prepend=0.0) != 0.0
+    changes, rows = np.cumsum(changed)[came], np.flatnonzero(came)
+    if not rows.size:
+        return
+    ends = np.flatnonzero(np.append(np.diff(told[came]) != 0.0, True))
+    firsts = np.concatenate(([0], ends[:-1] + 1))
+    heard = changes[ends] - changes[firsts]
+    lasted_s = recording.period_s * (rows[ends] - rows[firsts])
+    longest = int(np.argmax(heard))
+    if heard[longest] >= CHANGES and lasted_s[longest] > SILENT_S:
+        yield (
+            f"The drive's {EFFORTS[name]} stays at {told[came][ends[longest]]:.3g} for "
+            f"{lasted_s[longest]:.3g} s{where}, through {heard[longest]} changes of the command: "
+            "it says nothing there. Look at how it is read."
+        )
 
 
 def _jumps(recording: Recording, gap_rad: float, where: str) -> Iterator[str]:

@@ -9,7 +9,7 @@ explained the error, and told in words: what it looks like, and what to write in
     the instant, or the low pass, at which the simulation comes nearest to a channel (`sampled`)
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -26,6 +26,8 @@ from sim_rig.model import Model
 
 SAYS_NOTHING = 0.02
 """Of a torque's scatter, what is no sign of life."""
+LEAST = 0.5
+"""Of what the motion needs: an inertia that nobody knows makes so much."""
 
 
 def misread(comparison: Comparison, nominal: Model, found: Model) -> Iterator[str]:
@@ -43,24 +45,26 @@ def misread(comparison: Comparison, nominal: Model, found: Model) -> Iterator[st
             "look at the command's unit (1 rpm is 0.105 rad/s, 1 degree/s 0.0175) and its scale."
         )
         return
-    said = (*wrong_angles(comparison, nominal), *_efforts(comparison, found))
+    said = (*wrong_angles(comparison, nominal), *_efforts(comparison, (nominal, found)))
     yield from said or as_read(comparison, [coarser(model) for model in (nominal, found)])
 
 
-def _efforts(comparison: Comparison, model: Model) -> Iterator[str]:
-    """A torque or current that is of another size, or says nothing."""
+def _efforts(comparison: Comparison, models: Sequence[Model]) -> Iterator[str]:
+    """A torque or current that is of another sign or unit by any of the models, or says nothing."""
     for signal in comparison.signals:
         if signal.simulated != CURRENT:
             continue
-        measured, shown = values_of(comparison, model, signal.channel, CURRENT)
-        scale = another_size(measured, signal.factor * shown)
+        played = [values_of(comparison, model, signal.channel, CURRENT) for model in models]
+        measured, needed = played[0][0], signal.factor * played[0][1]
+        scales = [another_size(values, signal.factor * shown) for values, shown in played]
+        far = [scale for scale in scales if scale is not None and not LEAST < scale < 1.0 / LEAST]
         name = signal.name.removeprefix("motor ")
-        if scale is not None:
+        if far:
             yield (
-                f"The drive's {name} is {scale:.3g} times what the motion needs: look at its sign, "
-                "its unit (a drive tells thousandths of a rated value), and that value."
+                f"The drive's {name} is {far[0]:.3g} times what the motion needs: look at its "
+                "sign, its unit (a drive tells thousandths of a rated value), and that value."
             )
-        elif measured.size and np.std(measured) < SAYS_NOTHING * np.std(signal.factor * shown):
+        elif measured.size and np.std(measured) < SAYS_NOTHING * np.std(needed):
             yield (
                 f"The drive's {name} stays at {np.median(measured):.3g} {signal.unit} while the "
                 "axis is driven: it says nothing. Map another object, or leave the channel away."

@@ -2,6 +2,8 @@
 
     measured increments over the simulated ones     sign, counts per revolution, gear
     the measured twist, turned round                motor and load exchanged
+    steps of one size that do not come back at once     told within a turn only
+    increments of a row, some rows before the simulated     commands that were logged late
 
 A loop with an integrator turns as far as it is told, whatever rubs or gives way: no physics makes
 these, and nothing can be told of any while they last.
@@ -21,13 +23,23 @@ LONG_ROWS = 12
 """Of increments that a gap or a loop's answer hardly changes."""
 ALIKE, ANOTHER_SIZE = 0.9, 0.3
 """Correlation of a channel that is the rig's but for its scale; and how far that is from one."""
+HALF_A_WRAP, LEAST_WRAP_RAD, FEWEST_WRAPS = 0.5, 1.0, 3
+WRAP_SCATTER, FAR_BELOW, BACK_ROWS = 0.02, 0.2, 4
+"""Of a wrap: its steps beside each other and beside any motion in a row; rows in which a spoilt
+word is right again."""
+MOST_AHEAD, AHEAD = 4, 0.5
+"""Rows by which commands are looked for late; and of an increment's error, what is left then."""
 EXCHANGED = 0.5
 """Of the twist's error as it is, what is left of it turned round."""
 
 
 def wrong_angles(comparison: Comparison, model: Model) -> Iterator[str]:
     """What is so of an angle of a closed loop's recording, one sentence for each."""
-    if comparison.block != "loop" or commanded_scale(comparison, model) is not None:
+    if comparison.block != "loop":
+        return
+    wraps = tuple(_wraps(comparison))
+    yield from wraps
+    if wraps or commanded_scale(comparison, model) is not None:
         return
     scaled = dict(_scales(comparison, model))
     for channel, scale in scaled.items():
@@ -40,6 +52,64 @@ def wrong_angles(comparison: Comparison, model: Model) -> Iterator[str]:
             "The load's angle moves as the motor's should, and the motor's as the load's: exchange "
             "the two channels, or the encoders' lines."
         )
+        return
+    rows = rows_ahead(comparison, model)
+    if rows and not scaled:
+        yield (
+            f"The motion comes {rows} {'row' if rows == 1 else 'rows'} before the command that "
+            "asks for it: commands are logged late. Shift them against the angles."
+        )
+
+
+def _wraps(comparison: Comparison) -> Iterator[str]:
+    for channel, words in ANGLES.items():
+        if not comparison.source.rows.has(channel):
+            continue
+        values = comparison.source.rows.channel(channel)
+        steps = wrap_steps(values[np.isfinite(values)])
+        if steps.size:
+            size = float(np.median(np.abs(steps)))
+            yield (
+                f"The {words} goes back by {size:.4g} rad, {steps.size} times: it is told within a "
+                "turn only. Unwrap it (unwrap = true in the map of an import)."
+            )
+
+
+def wrap_steps(angle_rad: Array) -> Array:
+    """Steps of an angle that is told within a turn, where there are any: all of one size, far
+    beyond every other, and all of the angle within one of them. Most spoilt words go back with the
+    next rows; an angle that rests where it wraps does so now and then."""
+    steps = np.diff(angle_rad)
+    sizes = np.abs(steps)
+    largest = float(sizes.max(initial=0.0))
+    at = np.flatnonzero(sizes > HALF_A_WRAP * largest)
+    if largest < LEAST_WRAP_RAD or at.size < FEWEST_WRAPS:
+        return steps[:0]
+    motion = float(np.delete(sizes, at).max(initial=0.0))
+    within = float(np.ptp(angle_rad)) < largest + 2.0 * motion
+    alike = float(np.ptp(sizes[at])) < 2.0 * motion + WRAP_SCATTER * largest
+    backs = np.count_nonzero(np.diff(at) <= BACK_ROWS)
+    stays = backs < HALF_A_WRAP * (at.size - 1)
+    return steps[at] if within and alike and stays and motion < FAR_BELOW * largest else steps[:0]
+
+
+def rows_ahead(comparison: Comparison, model: Model) -> int:
+    """So many rows before the command that asks for it an angle moves; 0 where it does not.
+
+    What comes late is a cause (`transport_delay`); nothing moves before it is told to.
+    """
+    channel = next((name for name in reversed(ANGLES) if comparison.source.rows.has(name)), None)
+    if channel is None:
+        return 0
+    measured, shown = _increments(comparison, model, channel, rows=1)
+    if measured.size <= 2 * MOST_AHEAD:
+        return 0
+    end = measured.size - MOST_AHEAD
+    left = [
+        float(np.median(np.abs(measured[:end] - shown[k : k + end]))) for k in range(MOST_AHEAD + 1)
+    ]
+    best = int(np.argmin(left))
+    return best if left[best] < AHEAD * left[0] else 0
 
 
 def commanded_scale(comparison: Comparison, model: Model) -> float | None:
@@ -94,14 +164,14 @@ def values_of(
     return measured, played
 
 
-def _increments(comparison: Comparison, model: Model, channel: str) -> tuple[Array, Array]:
+def _increments(
+    comparison: Comparison, model: Model, channel: str, rows: int = LONG_ROWS
+) -> tuple[Array, Array]:
     found = []
     for points in comparison.pieces:
         shown = comparison.source.play(model, points.piece)[channel]
         came = comparison.source.rows.channel(channel)[points.piece.rows]
-        both = np.stack(
-            [came[LONG_ROWS:] - came[:-LONG_ROWS], shown[LONG_ROWS:] - shown[:-LONG_ROWS]]
-        )
+        both = np.stack([came[rows:] - came[:-rows], shown[rows:] - shown[:-rows]])
         found.append(both[:, np.isfinite(both).all(axis=0)])
     measured, simulated = np.concatenate(found, axis=1)
     return measured, simulated

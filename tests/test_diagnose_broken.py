@@ -1,5 +1,6 @@
 """An angle that stands while the axis turns, or jumps: told, whatever a robust fit passes over."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +19,7 @@ GAP_RAD = NOMINAL.backlash_gap_rad
 LOAD, MOTOR, COMMAND = "load_angle_rad", "motor_position_rad", "velocity_command_rad_s"
 TORQUE = "motor_torque_nm"
 BREAKS = 400
+Of = Callable[[Recording], Recording]
 
 
 def told(recording: Recording) -> list[str]:
@@ -56,8 +58,7 @@ def test_an_angle_that_stands_is_told_with_its_time(channel: str, noise_rad: flo
 
 @pytest.mark.parametrize("of", [lambda run: run, alone], ids=["all", "load alone"])
 @pytest.mark.parametrize("by_rad", [0.3, -0.3, 7.0])
-def test_a_jump_is_told_with_its_size_and_its_time(of: object, by_rad: float) -> None:
-    assert callable(of)
+def test_a_jump_is_told_with_its_size_and_its_time(of: Of, by_rad: float) -> None:
     (said,) = told(of(jumps(recorded(MODEL, 3), by_rad)))
     assert "jumped by" in said
     size, when = (float(said.split()[k]) for k in (5, 8))
@@ -82,8 +83,7 @@ RIGS = {
 
 @pytest.mark.parametrize("rig", RIGS)
 @pytest.mark.parametrize("of", [lambda run: run, alone], ids=["all", "load alone"])
-def test_what_a_rig_does_is_no_break(rig: str, of: object) -> None:
-    assert callable(of)
+def test_what_a_rig_does_is_no_break(rig: str, of: Of) -> None:
     assert told(of(recorded(RIGS[rig], 5))) == []
 
 

@@ -16,8 +16,7 @@ from servo_bench.diagnosis.searching.unknowns import Unknown, nuisances
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, recorded
 from tests.trials.drawing import Question
-from tests.trials.handing import nominal_rig
-from tests.truth import hidden
+from tests.trials.handing import nominal_rig, straight
 
 MODEL = Model(NOMINAL)
 COLD = Unknown("thermal_friction", "cold_torque_nm", 0.0, 0.1, step=2e-3)
@@ -53,16 +52,7 @@ def test_plain_friction_has_no_name_of_what_refines_it() -> None:
     with magnets that warm to make up for what it said too much."""
     question = Question(seed=6270000, kind="removed", effect="coulomb_friction")
     sealed = question.sealed()
-    seen, held_out = (
-        hidden.record(
-            sealed,
-            experiment,
-            question.nominal,
-            take=take,
-            sized_for_rad_s=question.plan.velocity_rad_s,
-        )
-        for take, experiment in enumerate(question.plan[:2])
-    )
+    seen, held_out = (straight(question, sealed, take) for take in (0, 1))
     model, without = nominal_rig(question.nominal).model(), question.without(sealed)
     told = verdict_of(find_causes([seen], model, held_out=held_out, without=without))
     assert (told.verdict, told.names) == ("unknown", ())

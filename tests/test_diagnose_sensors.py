@@ -196,6 +196,15 @@ def test_commands_that_are_logged_late_are_told(rig: Model, rows: int) -> None:
     assert f"The motion comes {rows} row" in sentence
 
 
+@pytest.mark.parametrize("channel", ["load_angle_rad", "motor_position_rad"])
+def test_one_angle_that_was_read_after_its_row_is_not_a_late_command(channel: str) -> None:
+    run = logged(46)
+    values = np.asarray(run[channel])
+    early = with_channel(run, channel, np.append(values[1:], values[-1]))
+    (sentence,) = told(early)
+    assert "sampled 8 ms after its row's time" in sentence
+
+
 @pytest.mark.parametrize(
     "rig",
     [

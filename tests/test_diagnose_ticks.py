@@ -10,7 +10,7 @@ from servo_bench.diagnosis.searching.finding import find_causes
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, PERIOD_S, STANDSTILL, commands, recorded
 from tests.trials.drawing import Question
-from tests.trials.handing import nominal_rig
+from tests.trials.handing import nominal_rig, straight
 from tests.truth import hidden
 
 MODEL = Model(NOMINAL)
@@ -94,16 +94,7 @@ def test_a_clock_that_walks_past_a_few_ticks_is_named(seed: int, seconds: float)
     """Its delay goes in steps, which a slope would take for a change, and its number is not sure
     after 16 s: still it takes most of what is wrong."""
     question, skew = Question(seed=seed, seconds=seconds), hidden.hide(seed, {"clock_skew": -1e-5})
-    seen, held_out = (
-        hidden.record(
-            skew,
-            experiment,
-            question.nominal,
-            take=take,
-            sized_for_rad_s=question.plan.velocity_rad_s,
-        )
-        for take, experiment in enumerate(question.plan[:2])
-    )
+    seen, held_out = (straight(question, skew, take) for take in (0, 1))
     model = nominal_rig(question.nominal).model()
     verdict = verdict_of(find_causes([seen], model, held_out=held_out, only=("clock_skew",)))
     assert verdict.names == ("clock_skew",)

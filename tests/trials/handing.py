@@ -59,18 +59,23 @@ def hand_over(question: Question, sealed: Sealed, folder: Path) -> Handed:
         if question.wire:
             _over_the_wire(question, experiment, rig, path, take)
         else:
-            recording = hidden.record(
-                sealed,
-                experiment,
-                question.nominal,
-                take=take,
-                sized_for_rad_s=question.plan.velocity_rad_s,
-            )
+            recording = straight(question, sealed, take)
             if question.measured:
                 write_measured(recording, path, question.channels, cut_of(question.seed, take))
             else:
                 _write(recording, experiment, rig, path, question.channels)
     return handed
+
+
+def straight(question: Question, sealed: Sealed, take: int) -> Recording:
+    """What is seen (take 0) or held out (1), straight from the truth plant."""
+    return hidden.record(
+        sealed,
+        question.plan[take],
+        question.nominal,
+        take=take,
+        sized_for_rad_s=question.plan.velocity_rad_s,
+    )
 
 
 def nominal_rig(nominal: NominalValues, bus: Bus = "canopen") -> RigConfig:

@@ -14,22 +14,18 @@ that is of another size jumps all the time (`channels`).
 """
 
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from servo_bench.diagnosis.comparing.rows import Array
+from servo_bench.diagnosis.judging.undecided import COMMAND, EFFORTS
 from servo_bench.recording.recording import Recording
 
-MOTOR, LOAD, COMMAND = "motor_position_rad", "load_angle_rad", "velocity_command_rad_s"
+MOTOR, LOAD = "motor_position_rad", "load_angle_rad"
 WORDS = {MOTOR: "motor's", LOAD: "load's"}
-EFFORTS = {
-    "motor_torque_nm": "torque",
-    "motor_current_a": "current",
-    "torque_nm": "torque",
-    "current_a": "current",
-}
 STILL_RAD, TURNED_RAD = 2e-3, 1.0
 """Less than any motion under a command, and more than any noise; and what was commanded."""
 SILENT_S, CHANGES = 1.0, 40
@@ -80,7 +76,9 @@ def _of_one(recording: Recording, rig: Rig, where: str) -> Iterator[str]:
         if rows is not None:
             stand += _stands(rows, channel, rig, where)
     yield from stand or _jumps(recording, rig.gap_rad, where)
-    yield from _silent(recording, where)
+    names = [n for n in EFFORTS if n in recording and COMMAND in recording]
+    silent = (said for name in names for said in _silent(recording, name, where))
+    yield from islice(silent, 1)  # a current is its torque over K_T, or the other way about
 
 
 def _stands(rows: _Rows, channel: str, rig: Rig, where: str) -> Iterator[str]:
@@ -108,10 +106,7 @@ def _stays(angle: Array) -> Iterator[tuple[int, int]]:
     yield first, angle.size - 1
 
 
-def _silent(recording: Recording, where: str) -> Iterator[str]:
-    name = next((name for name in EFFORTS if name in recording), None)
-    if name is None or COMMAND not in recording:
-        return
+def _silent(recording: Recording, name: str, where: str) -> Iterator[str]:
     told = np.asarray(recording[name], np.float64)
     came = np.isfinite(told)
     changed = np.diff(np.asarray(recording[COMMAND], np.float64), prepend=0.0) != 0.0
@@ -124,8 +119,9 @@ def _silent(recording: Recording, where: str) -> Iterator[str]:
     lasted_s = recording.period_s * (rows[ends] - rows[firsts])
     longest = int(np.argmax(heard))
     if heard[longest] >= CHANGES and lasted_s[longest] > SILENT_S:
+        word = "torque" if "torque" in name else "current"
         yield (
-            f"The drive's {EFFORTS[name]} stays at {told[came][ends[longest]]:.3g} for "
+            f"The drive's {word} stays at {told[came][ends[longest]]:.3g} for "
             f"{lasted_s[longest]:.3g} s{where}, through {heard[longest]} changes of the command: "
             "it says nothing there. Look at how it is read."
         )

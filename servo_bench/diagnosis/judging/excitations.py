@@ -9,10 +9,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from servo_bench.diagnosis.comparing.rows import Array
+from servo_bench.diagnosis.judging.undecided import COMMAND
 from servo_bench.errors import ConfigError
 from servo_bench.recording.recording import Recording
 
-COMMAND = "velocity_command_rad_s"
 ALIKE = 1e-6
 """Of the largest command: how a number is written in a file."""
 
@@ -29,8 +29,8 @@ def check_apart(recordings: Sequence[Recording], held_out: Recording | None) -> 
         if held_out is not None and _are_one(one, held_out):
             raise ConfigError(
                 f"the held-out recording and recording {number} are the same rows: a gain there is "
-                "one that a fit has seen. Record another sequence, or leave --holdout away: the "
-                "validation or the last quarter judges then."
+                "one that a fit has seen. Record another sequence, or hold nothing out: the "
+                "validation, or the last quarter, judges then."
             )
 
 

@@ -68,7 +68,10 @@ def verdict_of(finding: Finding) -> Verdict:
     named = causes if kind == "named" else ()
     notes = [*finding.notes, *_absorbed(finding), *_coasting(finding.final.model)]
     if kind == "unknown" and told:
-        notes.append(_resembles([c.effect for c in told], broken=bool(strange)))
+        do = "does" if len(told) == 1 else "do"
+        notes.append(
+            f"It resembles {', '.join(c.effect for c in told)}, which {do} not explain it."
+        )
     elif len(causes) < len(told):
         names = ", ".join(c.effect for c in told if c not in causes)
         notes.append(f"{names} would take a part of what is left, not surely enough for a name.")
@@ -90,14 +93,6 @@ def verdict_of(finding: Finding) -> Verdict:
         nuisances=_nuisances(finding),
         seconds=finding.seconds,
     )
-
-
-def _resembles(effects: Sequence[str], *, broken: bool) -> str:
-    """What was found, and stands back: it explains too little, or beside it something is wrong."""
-    if broken:
-        return f"Beside what is strange it looks like {', '.join(effects)}."
-    do = "does" if len(effects) == 1 else "do"
-    return f"It resembles {', '.join(effects)}, which {do} not explain it."
 
 
 def _has_a_name(cause: Cause) -> bool:

@@ -94,22 +94,26 @@ def wrap_steps(angle_rad: Array) -> Array:
 
 
 def rows_ahead(comparison: Comparison, model: Model) -> int:
-    """So many rows before the command that asks for it an angle moves; 0 where it does not.
+    """So many rows before the command that asks for it every angle moves; 0 where none does.
 
-    What comes late is a cause (`transport_delay`); nothing moves before it is told to.
+    What comes late is a cause (`transport_delay`); nothing moves before it is told to. One angle
+    alone that is ahead of the other was read after its row's time (`sampled`).
     """
-    channel = next((name for name in reversed(ANGLES) if comparison.source.rows.has(name)), None)
-    if channel is None:
-        return 0
+    came = [name for name in ANGLES if comparison.source.rows.has(name)]
+    left = [_left_by_rows(comparison, model, channel) for channel in came]
+    best = {int(np.argmin(one)) for one in left}
+    much = min((float(one.min() / one[0]) for one in left), default=1.0) < AHEAD
+    return best.pop() if len(best) == 1 and much else 0
+
+
+def _left_by_rows(comparison: Comparison, model: Model, channel: str) -> Array:
+    """The increments' error beside a simulation that is so many rows ahead, shape (rows + 1,)."""
     measured, shown = _increments(comparison, model, channel, rows=1)
-    if measured.size <= 2 * MOST_AHEAD:
-        return 0
     end = measured.size - MOST_AHEAD
-    left = [
-        float(np.median(np.abs(measured[:end] - shown[k : k + end]))) for k in range(MOST_AHEAD + 1)
-    ]
-    best = int(np.argmin(left))
-    return best if left[best] < AHEAD * left[0] else 0
+    if end <= MOST_AHEAD:
+        return np.ones(1)
+    shifted = [measured[:end] - shown[k : k + end] for k in range(MOST_AHEAD + 1)]
+    return np.asarray(np.maximum(np.median(np.abs(shifted), axis=1), 1e-30), np.float64)
 
 
 def commanded_scale(comparison: Comparison, model: Model) -> float | None:

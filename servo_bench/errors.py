@@ -7,6 +7,7 @@
     ├── LimitError       the rig left the limits of its configuration          exit code 5
     ├── RecordingError   a recording is missing, cut, or not one of ours       exit code 6
     ├── FitError         an estimate cannot be made from these data            exit code 7
+    │   └── ChannelError     as a channel is not what the rig's file or the map says it is
     ├── RigError         the software rig failed or did not start              exit code 8
     └── BusyError        the rig, or what guards it, is in somebody's hands    exit code 9
 
@@ -67,6 +68,10 @@ class FitError(BenchError):
     """An estimate cannot be made from these data."""
 
     exit_code = 7
+
+
+class ChannelError(FitError):
+    """A channel is not what the rig's file or the map says: mend that, and record nothing."""
 
 
 class RigError(BenchError):

@@ -155,15 +155,16 @@ def test_a_low_pass_answers_a_jump_and_a_ramp_as_its_equation_says() -> None:
     np.testing.assert_allclose(low_passed(t_s, values, tau_s), expected, atol=1e-7)
 
 
-@pytest.mark.parametrize("scale", [-1.0, 180.0 / np.pi])
-def test_a_diagnosis_ends_at_once_where_an_angle_is_not_the_rigs(scale: float) -> None:
+@pytest.mark.parametrize(("scale", "slots"), [(-1.0, 3 * SLOTS), (180.0 / np.pi, SLOTS)])
+def test_a_diagnosis_ends_at_once_where_an_angle_is_not_the_rigs(scale: float, slots: int) -> None:
     """Laws bent to a wrong map had taken twenty minutes, and the verdict said nothing of it."""
-    run = logged(44, slots=3 * SLOTS)
+    run = logged(44, slots=slots)
     wrong = with_channel(run, "motor_position_rad", scale * run["motor_position_rad"])
     begun = list[str]()
     verdict = conclude([wrong], model=MODEL, report=begun.append).verdict
     assert verdict.verdict == "unknown"
     assert "The motor's angle moves" in verdict.sentence
+    assert verdict.next_run.startswith("Mend the map or the rig's file")
     assert begun == ["base fit"]
 
 

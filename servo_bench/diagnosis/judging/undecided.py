@@ -10,7 +10,7 @@ from difflib import get_close_matches
 import numpy as np
 
 from servo_bench.diagnosis.judging.verdict import Verdict
-from servo_bench.errors import ConfigError
+from servo_bench.errors import ChannelError, ConfigError
 from servo_bench.recording.recording import Recording
 from sim_rig.effects import catalogue
 
@@ -25,6 +25,11 @@ SAME_SIZE = 0.02
 RECOMMENDED = (
     "Run what `servo-bench design diagnosis --rig RIG.toml -o EXPERIMENT.toml` writes: several "
     "velocities, full turns, a validation of its own."
+)
+
+MEND = (
+    "Mend the map or the rig's file, and diagnose this recording again: nothing need be recorded "
+    "anew for that."
 )
 
 
@@ -98,12 +103,14 @@ def undecided(error: Exception, recordings: Sequence[Recording]) -> Verdict:
     """The verdict "unknown" of data that were read and cannot be judged, in the failure's words."""
     first = recordings[0]
     lacks = tuple(_lacking(recordings))
-    why = lacks[0] if lacks else _sentence(error)
+    is_misread = isinstance(error, ChannelError)
+    why = lacks[0] if lacks and not is_misread else _sentence(error)
+    next_run = f"Record what is missing. {RECOMMENDED}" if lacks else RECOMMENDED
     return Verdict(
         verdict="unknown",
         sentence=f"Nothing can be decided from this recording: {why}",
         undecided=(*lacks, *open_questions(first)),
-        next_run=RECOMMENDED if not lacks else f"Record what is missing. {RECOMMENDED}",
+        next_run=MEND if is_misread else next_run,
         notes=(f"The diagnosis ended before any fit: {_sentence(error)}",),
     )
 

@@ -27,7 +27,7 @@ from servo_bench.diagnosis.searching.rounds import Told
 from servo_bench.diagnosis.searching.scales import Scales, band_of, scales_of
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.unknowns import Unknown
-from servo_bench.errors import FitError
+from servo_bench.errors import ChannelError
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 
@@ -69,7 +69,7 @@ def made_ready(
     without: Collection[str],
     report: Told,
 ) -> Ready:
-    """Base fit, orders, and what was lost. FitError where an angle is not the rig's."""
+    """Base fit, orders, and what was lost. ChannelError where an angle is not the rig's."""
     report("base fit")
     quick = quick_evidence(recordings, model, _quick_rows(recordings), block=block)
     longest_s = max(len(recording) * recording.period_s for recording in recordings)
@@ -99,10 +99,10 @@ def made_ready(
 
 
 def _refuse_wrong_angles(quick: Evidence, model: Model) -> None:
-    """FitError where an angle is not the rig's: every law would be bent to what the map says."""
+    """ChannelError where an angle is not the rig's: any law would be bent to what a map says."""
     wrong = [sentence for one in quick.fitted for sentence in wrong_angles(one, model)]
     if wrong:
-        raise FitError(" ".join(dict.fromkeys(wrong)))
+        raise ChannelError(" ".join(dict.fromkeys(wrong)))
 
 
 class _Timed(NamedTuple):

@@ -181,10 +181,13 @@ def test_an_angle_that_is_told_within_a_turn_only_is_told(channel: str, turn_rad
 def test_spoilt_words_and_lost_counts_are_no_wraps() -> None:
     angle = np.array(logged(45)["load_angle_rad"])
     assert wrap_steps(angle).size == 0
-    spoilt, lost = angle.copy(), angle.copy()
+    spoilt, lost, away = angle.copy(), angle.copy(), angle.copy()
     spoilt[50::50] += 6.0
     lost[200:] += 6.0
+    for first in (100, 200, 300):
+        away[first : first + 20] += 6.0
     assert wrap_steps(spoilt).size == 0
+    assert wrap_steps(away).size == 0
     assert wrap_steps(lost).size == 0
 
 

@@ -158,6 +158,7 @@ def test_a_recording_without_angles_or_with_few_is_asked_nothing() -> None:
     assert told(with_channels(run, load_angle_rad=nothing, motor_position_rad=nothing)) == []
 
 
+@pytest.mark.long
 def test_the_verdict_is_unknown_and_says_why() -> None:
     """Half of the rows stand: fitted by the rest, nothing of the model is wrong."""
     run = stands(recorded(MODEL, 6, slots=900), LOAD, slice(BREAKS, None))

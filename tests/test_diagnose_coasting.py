@@ -9,21 +9,24 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of
+from servo_bench.diagnosis.searching import coasting as coasts
 from servo_bench.diagnosis.searching import finding
 from servo_bench.diagnosis.searching.classes import class_of
 from servo_bench.diagnosis.searching.coasting import (
+    TAKES_BOTH,
     Face,
     coasting,
     coasting_or_rested,
     given_back,
     is_coasting,
     slowing_rad_s2,
+    usual,
     with_coasting,
 )
 from servo_bench.diagnosis.searching.finding import find_causes
 from servo_bench.diagnosis.searching.gate import misfit
 from servo_bench.diagnosis.searching.seeking import Found, seek
-from servo_bench.diagnosis.searching.unknowns import nuisances
+from servo_bench.diagnosis.searching.unknowns import nuisances, widened
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, recorded
 
@@ -66,6 +69,36 @@ def test_a_load_that_coasts_is_found_to_do_so_by_its_own_encoder_alone() -> None
     better = with_coasting(seen, found)
     assert is_coasting(better.model)
     assert slowing_rad_s2(better.model) == pytest.approx(SLOWED_RAD_S2, rel=0.3)
+
+
+@pytest.mark.long
+def test_what_was_fitted_to_a_load_that_stands_is_not_all_that_a_search_begins_with(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its gap and its friction stand in for what the load does."""
+    rig = coasting(MODEL.with_effect("coulomb", torque_nm=6e-4), SLOWED_RAD_S2, TAKES_BOTH)
+    seen = evidence_of(
+        [recorded(rig, 34, slots=1500, channels=("load_angle_rad",))], MODEL, block="loop"
+    )
+    found = seek(seen, MODEL, nuisances(0.05, NOMINAL.backlash_gap_rad), iterations=3)
+    begun_anew = with_coasting(seen, found)
+    monkeypatch.setattr(coasts, "usual", lambda found: found.model)
+    gone_on = with_coasting(seen, found)
+    ends = (begun_anew, gone_on)
+    costs = [end.errors.cost(found.sigma) for end in ends]
+    wrong_rad = [abs(end.model.effects["backlash_width"].change_rad) for end in ends]
+    assert costs[0] < 0.95 * costs[1]
+    assert wrong_rad[0] < 0.8 * wrong_rad[1]
+
+
+def test_usual_is_the_middle_of_every_band_and_what_a_cause_has_stays() -> None:
+    model = MODEL.with_effect("coulomb", torque_nm=9e-4).with_effect("cogging", torque_nm=2e-3)
+    band = nuisances(0.05, NOMINAL.backlash_gap_rad)
+    own = widened("cogging", ("torque_nm",), model, 1e-3)
+    found: Any = SimpleNamespace(model=model, unknowns=(*band, *own))
+    back = usual(found)
+    assert all(u.of(back) == pytest.approx(u.centre) for u in band)
+    assert back.effects["cogging"] == model.effects["cogging"]
 
 
 @pytest.mark.long

@@ -75,7 +75,10 @@ def test_constant_friction_is_not_called_one_that_warms(only: tuple[str, ...]) -
     assert (found is None) == ("coulomb" in only)
 
 
-@pytest.mark.parametrize(("seed", "slowed_rad_s2"), [(62, 350.0), (63, 1200.0)])
+@pytest.mark.parametrize(
+    ("seed", "slowed_rad_s2"),
+    [(62, 350.0), pytest.param(*(63, 1200.0), marks=pytest.mark.long)],
+)
 def test_none_is_found_where_there_is_none(seed: int, slowed_rad_s2: float) -> None:
     assert again(coasting(MODEL, slowed_rad_s2), seed) is None
 

@@ -231,6 +231,7 @@ def test_a_faint_scale_is_a_cause_and_the_extended_rig_has_it(seed: int) -> None
     assert verdict_of(find_causes([recording], MODEL, only=("misalignment",))).names == ()
 
 
+@pytest.mark.long
 def test_a_scale_that_a_round_has_found_is_told_as_it_was_read() -> None:
     """Two counts: a round finds it, a rival may take its confidence; the line leaves no doubt."""
     wave = {"amplitude_rad": 2e-4, "line_order": float(LINES), "phase_rad": 0.4}

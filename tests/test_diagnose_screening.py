@@ -70,7 +70,9 @@ def test_a_trial_is_as_strong_as_what_is_there_and_what_is_added_and_never_less_
     assert trial.on(model).effects["coulomb"].torque_nm == pytest.approx(torque_nm)
 
 
-@pytest.mark.parametrize("phase_rad", [0.0, 0.7, -0.8, 1.5])
+@pytest.mark.parametrize(
+    "phase_rad", [0.7, -0.8, *(pytest.param(it, marks=pytest.mark.long) for it in (0.0, 1.5))]
+)
 def test_two_templates_tell_a_misalignment_of_any_phase(phase_rad: float) -> None:
     """Its error turns twice as its phase turns once, and grows with the square of the angle."""
     hidden = MODEL.with_effect("misalignment", angle_rad=0.06, phase_rad=phase_rad)

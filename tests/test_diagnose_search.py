@@ -95,6 +95,7 @@ def test_of_a_class_that_nobody_can_tell_apart_one_is_enough() -> None:
     assert not set(both) & set(asked)
 
 
+@pytest.mark.long
 def test_a_stribeck_curve_is_no_larger_for_being_narrow() -> None:
     """A smoothed sign change as wide as the curve would take most of it away."""
     curve = {"excess_torque_nm": 8e-3, "stribeck_rad_s": 0.3, "transition_rad_s": 3e-3}

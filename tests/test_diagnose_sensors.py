@@ -120,7 +120,10 @@ def test_a_rig_whose_drive_answers_late_for_all_of_its_own_is_right_as_it_was_to
     assert told(run) == []
 
 
-@pytest.mark.parametrize(("tau_s", "delay_s"), [(2e-3, 1.3e-4), (20e-3, 1.1e-3)])
+@pytest.mark.parametrize(
+    ("tau_s", "delay_s"),
+    [(2e-3, 1.3e-4), pytest.param(*(20e-3, 1.1e-3), marks=pytest.mark.long)],
+)
 def test_a_current_that_is_told_as_an_average_is_told_so_and_the_map_can_say_it(
     tau_s: float, delay_s: float
 ) -> None:

@@ -110,6 +110,7 @@ def test_rows_stay_that_a_measured_input_or_a_hole_needs() -> None:
     assert rows_to_a_command([fast, empty]) == 1
 
 
+@pytest.mark.long
 def test_wrong_samples_are_counted_in_all_the_rows_that_came() -> None:
     fast = held(MODEL, 50, 900)
     wrong = np.array(fast["load_angle_rad"])

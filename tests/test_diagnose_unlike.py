@@ -53,7 +53,8 @@ def seen() -> Evidence:
 
 
 @pytest.mark.parametrize(
-    ("hidden", "is_there"), [((LAG, LINE), True), ((LINE,), False), ((LAG,), True)]
+    ("hidden", "is_there"),
+    [((LAG, LINE), True), ((LINE,), False), pytest.param((LAG,), True, marks=pytest.mark.long)],
 )
 def test_what_is_missed_beside_an_unlike_rival_is_no_matter_of_one_or_the_other(
     hidden: tuple[str, ...], is_there: bool

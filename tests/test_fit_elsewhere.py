@@ -228,6 +228,7 @@ def test_the_command_starts_from_the_recording_alone(tmp_path: object) -> None:
     assert "mechanics, windows of 1 s" in done.output
 
 
+@pytest.mark.long
 def test_measured_a_small_motor_by_its_voltage() -> None:
     """Their own models, of first and second order, and their static curve: other experiments."""
     recording = undcmotor("prbs_open_exp")

@@ -42,7 +42,7 @@ def test_a_wrong_gain_is_found(seed: int, factor: float) -> None:
     assert found.gain > 0.5
 
 
-@pytest.mark.parametrize("seed", [221, 222])
+@pytest.mark.parametrize("seed", [221, pytest.param(222, marks=pytest.mark.long)])
 def test_friction_and_gap_are_found_together(seed: int) -> None:
     sizes = {"coulomb_friction": 12e-3, "backlash_width": 0.2}
     recording = hidden.record(hidden.hide(seed, sizes), experiment(), nominal())
@@ -55,7 +55,9 @@ def test_friction_and_gap_are_found_together(seed: int) -> None:
     assert found.gain > 0.6
 
 
-@pytest.mark.parametrize(("seed", "error"), [(231, 0.2), (232, -0.15)])
+@pytest.mark.parametrize(
+    ("seed", "error"), [(231, 0.2), pytest.param(*(232, -0.15), marks=pytest.mark.long)]
+)
 def test_the_ratio_of_inertia_and_torque_constant_is_found_and_no_more(
     seed: int, error: float
 ) -> None:

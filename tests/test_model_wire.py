@@ -31,7 +31,7 @@ def answered_in_time(rig: RigConfig, folder: Path) -> Recording:
         recording = load(folder / f"{k}.mcap")
         if np.nanmax(recording["drive_latency_s"]) < recording.period_s:
             return recording
-    pytest.skip(f"in each of {TRIES} runs the machine took the rig's process away for over a slot")
+    pytest.fail(f"in each of {TRIES} runs an answer of the rig came later than a slot")
 
 
 @pytest.mark.wire

@@ -31,7 +31,7 @@ from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Trial, hypoth
 from servo_bench.diagnosis.searching.scales import Scales, band_of, scales_of
 from servo_bench.diagnosis.searching.screening import quarter_rad
 from servo_bench.diagnosis.searching.sizes import material_sizes
-from servo_bench.diagnosis.searching.unknowns import Unknown
+from servo_bench.diagnosis.searching.unknowns import Unknown, at_centres
 from servo_bench.excitation.experiment import Experiment, Phase
 from servo_bench.recording.recording import Recording
 from sim_rig.effects import find_effect
@@ -130,7 +130,7 @@ def separation(
     evidence = evidence_of([recording], model)
     scales = _scales(recording, model)
     band = band_of(scales, model)
-    centre = _at_centre(model, band)
+    centre = at_centres(model, band)
     templates = _templates(evidence, centre, band, scales, only, sizes)
     minutes = min(JUDGED_S, plan.experiment.schedule().duration_s) / 60.0
     per = 1.0 / math.sqrt(minutes)
@@ -181,12 +181,6 @@ def foreseen(experiment: Experiment, model: Model) -> Recording:
 def _scales(recording: Recording, model: Model) -> Scales:
     commands = np.array(recording["velocity_command_rad_s"], np.float64)
     return scales_of(model, commands, recording.period_s)
-
-
-def _at_centre(model: Model, band: Sequence[Unknown]) -> Model:
-    for unknown in band:
-        model = unknown.put(model, unknown.centre)
-    return model
 
 
 def _templates(  # noqa: PLR0917 - where, what, and how large

@@ -17,7 +17,7 @@ from servo_bench.diagnosis.comparing.evidence import Evidence
 from servo_bench.diagnosis.searching.gate import misfit
 from servo_bench.diagnosis.searching.scales import yielding
 from servo_bench.diagnosis.searching.seeking import Found, seek
-from servo_bench.diagnosis.searching.unknowns import Unknown, put_all, widened
+from servo_bench.diagnosis.searching.unknowns import Unknown, at_centres, widened
 from sim_rig.effects import backlash_width
 from sim_rig.errors import EffectError
 from sim_rig.model import Model
@@ -112,8 +112,7 @@ def coasting_or_rested(whole: Evidence, coasts: Found, rested: Found) -> Found:
 
 def usual(found: Found) -> Model:
     """A search's model with what every rig may have as most have it: the middle of its bands."""
-    bands = [u for u in found.unknowns if np.isfinite(u.deviation)]
-    return put_all(found.model, bands, [u.centre for u in bands])
+    return at_centres(found.model, [u for u in found.unknowns if np.isfinite(u.deviation)])
 
 
 def _starts(scouted: Evidence, final: Found, begun: Model, faces: Sequence[Face]) -> list[Model]:

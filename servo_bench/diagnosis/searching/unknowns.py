@@ -215,6 +215,11 @@ def put_all(model: Model, unknowns: Sequence[Unknown], values: Sequence[float]) 
     return replace(model, effects=effects)
 
 
+def at_centres(model: Model, unknowns: Sequence[Unknown]) -> Model:
+    """The model with all of them in the middle of what is believed."""
+    return put_all(model, unknowns, [u.centre for u in unknowns])
+
+
 def merged(old: Sequence[Unknown], new: Sequence[Unknown]) -> tuple[Unknown, ...]:
     """The old ones, less those that the new ones stand for, and the new ones."""
     names = {u.name for u in new}

@@ -8,6 +8,7 @@ from servo_bench.diagnosis.searching.bounces import MOST, bounces
 from servo_bench.diagnosis.searching.coasting import coasting
 from servo_bench.diagnosis.searching.finding import Finding, find_causes
 from servo_bench.diagnosis.searching.unknowns import Unknown, put_all
+from sim_rig.errors import EffectError
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, recorded
 
@@ -66,3 +67,19 @@ def test_what_a_mass_carries_in_proportion_keeps_its_ratio_and_its_sign() -> Non
     assert heavier["load_torque"].torque_nm == pytest.approx(-0.02)
     alone = put_all(rig.without("load_torque"), (mass,), (2.0 * MASS_KG_M2,)).effects
     assert "load_torque" not in alone
+
+
+def test_masses_that_are_put_anew_need_make_a_rig_at_the_end_only() -> None:
+    half = 0.5 * NOMINAL.inertia_kg_m2
+    face = {"compliance_rad_per_nm": 2e-3, "load_inertia_kg_m2": half}
+    rig = MODEL.with_effect("contact", **face)
+    coupled = {"compliance_rad_per_nm": 1e-3, "load_inertia_kg_m2": 0.2 * half}
+    rig = rig.with_effect("coupling_compliance", **coupled)
+    coupling, behind = (
+        Unknown(effect, "load_inertia_kg_m2", 0.0, np.inf, 1e-6)
+        for effect in ("coupling_compliance", "contact")
+    )
+    changed = put_all(rig, (coupling, behind), (1.5 * half, 0.1 * half)).effects
+    assert changed["coupling_compliance"].load_inertia_kg_m2 == 1.5 * half
+    with pytest.raises(EffectError, match="inertia"):
+        put_all(rig, (coupling,), (1.5 * half,))

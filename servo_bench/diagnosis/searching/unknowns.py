@@ -18,8 +18,9 @@ A cause of the same name is one that leaves its band; a gap's error may be one w
 Where a rig's file has an effect already, its band is about that (`about`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -72,16 +73,11 @@ class Unknown:
 
     def of(self, model: Model) -> float:
         """Its value there."""
-        params = model.effects.get(self.effect, find_effect(self.effect).params())
-        return float(getattr(params, self.field))
+        return _value(model.effects, self.name)
 
     def put(self, model: Model, value: float) -> Model:
         """The model with another value."""
-        params = model.effects.get(self.effect, find_effect(self.effect).params())
-        for name in self.carried:
-            model = self._taken_along(model, name, value - self.of(model))
-        changed = params._replace(**{self.field: value})
-        return replace(model, effects={**model.effects, self.effect: changed})
+        return put_all(model, (self,), (value,))
 
     @property
     def carried(self) -> tuple[str, ...]:
@@ -90,24 +86,37 @@ class Unknown:
 
     def share_of(self, carried: str, model: Model) -> float:
         """How much of a change is taken off there."""
-        own = self.of(model)
+        return self._share_of(carried, model.effects)
+
+    def into(self, effects: dict[str, Any], value: float) -> None:
+        """Put it among parameters by effect; nothing is checked before they make a model."""
+        change = value - _value(effects, self.name)
+        for carried in self.carried:
+            effect, field = carried.split(".")
+            if self.in_proportion and effect not in effects:
+                continue
+            left = _value(effects, carried) - self._share_of(carried, effects) * change
+            _put(effects, effect, field, left if self.in_proportion else max(left, 0.0))
+        _put(effects, self.effect, self.field, value)
+
+    def _share_of(self, carried: str, effects: Mapping[str, Any]) -> float:
+        own = _value(effects, self.name)
         if not self.in_proportion or own == 0.0:
             return self.share
-        return -_value(model, carried) / own
-
-    def _taken_along(self, model: Model, carried: str, change: float) -> Model:
-        effect, field = carried.split(".")
-        if self.in_proportion and effect not in model.effects:
-            return model
-        left = _value(model, carried) - self.share_of(carried, model) * change
-        params = model.effects.get(effect, find_effect(effect).params())
-        params = params._replace(**{field: left if self.in_proportion else max(left, 0.0)})
-        return replace(model, effects={**model.effects, effect: params})
+        return -_value(effects, carried) / own
 
 
-def _value(model: Model, name: str) -> float:
+def _value(effects: Mapping[str, Any], name: str) -> float:
     effect, field = name.split(".")
-    return float(getattr(model.effects.get(effect, find_effect(effect).params()), field))
+    return float(getattr(_params(effects, effect), field))
+
+
+def _put(effects: dict[str, Any], effect: str, field: str, value: float) -> None:
+    effects[effect] = _params(effects, effect)._replace(**{field: value})
+
+
+def _params(effects: Mapping[str, Any], effect: str) -> Any:
+    return effects[effect] if effect in effects else find_effect(effect).params()
 
 
 def nuisances(
@@ -202,16 +211,13 @@ def _wide(parameter: FreeParameter, effect: str, size: float, inertia: float) ->
 
 
 def put_all(model: Model, unknowns: Sequence[Unknown], values: Sequence[float]) -> Model:
-    """The model with all of them; one after another where any carries another."""
-    pairs = list(zip(unknowns, map(float, values), strict=True))
-    if any(unknown.carries for unknown in unknowns):
-        for unknown, value in pairs:
-            model = unknown.put(model, value)
-        return model
+    """The model with all of them, one after another: one that carries others moves those.
+
+    Raises EffectError where the end has no meaning; on the way there it need not have one.
+    """
     effects = dict(model.effects)
-    for unknown, value in pairs:
-        params = effects.get(unknown.effect) or find_effect(unknown.effect).params()
-        effects[unknown.effect] = params._replace(**{unknown.field: value})
+    for unknown, value in zip(unknowns, values, strict=True):
+        unknown.into(effects, float(value))
     return replace(model, effects=effects)
 
 

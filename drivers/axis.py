@@ -72,6 +72,11 @@ class Axis(Protocol):
         trace: TracebackType | None,
     ) -> None: ...
 
+    @property
+    def may_be_powered(self) -> bool:
+        """Whether the drive may have power: from enabling until it has confirmed its stop."""
+        ...
+
     def command(self, velocity_rad_s: float, slot: int) -> int:
         """Send the set-point of this slot and ask for its sample; return the ask's time in ns."""
         ...

@@ -65,6 +65,7 @@ def _check_motion(
     assert not is_enabled()
     with make_axis() as axis:
         assert is_enabled()
+        assert axis.may_be_powered
         samples = play(axis, velocities, period_s, clock)
         assert [sample.slot for sample in samples[: len(velocities)]] == list(
             range(len(velocities))
@@ -77,6 +78,7 @@ def _check_motion(
         _check_travel(positions, still, moving)
         _check_events_drain_once(axis)
     assert not is_enabled()
+    assert not axis.may_be_powered
 
 
 def _check_travel(positions: dict[int, float | None], still: int, moving: int) -> None:

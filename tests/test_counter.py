@@ -216,6 +216,7 @@ class FakeAxis:
     refuse: bool = False
     log: list[str] = field(default_factory=list)
     asked: list[int] = field(default_factory=list)
+    may_be_powered: bool = False
 
     def __enter__(self) -> Self:
         if self.refuse:

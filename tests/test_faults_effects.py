@@ -251,6 +251,16 @@ def test_every_kind_parses_without_a_value_and_has_a_sentence() -> None:
         ("reset node=5", "one of drive, encoder"),
         ("sdo-abort object=60C2:x", "0x60C2:1"),
         ("emcy code=hot", "a value like 12832"),
+        ("emcy code=0x12345", "from 1 to 65535"),
+        ("sdo-abort code=-1", "from 0 to"),
+        ("sdo-abort object=0x12345", "from 0 to 65535"),
+        ("lost frames=0x999", "from 0 to 2047"),
+        ("lost rate=1.5", "from 0 to 1"),
+        ("late delay_ms=inf", "a finite number"),
+        ("late delay_ms=-1", "from 0"),
+        ("bus-off for_ms=nan", "a finite number"),
+        ("sync-jitter most_ms=nan", "a finite number"),
+        ("encoder-noise counts=-1", "from 0"),
     ],
 )
 def test_a_fault_that_cannot_be_is_refused_in_words(line: str, words: str) -> None:

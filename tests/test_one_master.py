@@ -59,3 +59,26 @@ def test_a_rig_that_somebody_has_is_not_moved(
     # and without the night shift it is this command's
     done = CliRunner().invoke(cli.app, ORDERS[command])
     assert isinstance(done.exception, AssertionError)
+
+
+@pytest.mark.parametrize("words", [("--move", "--yes"), ()])
+def test_a_rig_that_somebody_has_is_not_examined_either(
+    folder: Path, words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: object, **__: object) -> None:
+        raise AssertionError("the rig was asked")
+
+    for name in ("canopen.examine", "move.examine"):
+        monkeypatch.setattr(f"servo_bench.run.doctor.{name}", never)
+    monkeypatch.setattr("servo_bench.cli.preflight.read_drive", never)
+    monkeypatch.chdir(folder)
+    with holding_rig(load_rig("rig.toml").bus, "the night shift"):
+        seen = CliRunner().invoke(cli.app, ("doctor", "--rig", "rig.toml", *words))
+        told = CliRunner().invoke(
+            cli.app, ("preflight", "small.toml", "--rig", "rig.toml", "--read")
+        )
+    assert seen.exit_code == 1, seen.output
+    assert "held by the night shift" in " ".join(seen.output.split())
+    assert isinstance(told.exception, BusyError)
+    alone = CliRunner().invoke(cli.app, ("doctor", "--rig", "rig.toml", *words))
+    assert isinstance(alone.exception, AssertionError)

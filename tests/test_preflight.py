@@ -1,12 +1,14 @@
 """What is said before a run: by hand where it can be, and refused where it must be."""
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import drivers
 from drivers.canopen.profile import Gain, Gains, Shaping, generic
 from servo_bench.cli.app import app
 from servo_bench.excitation.experiment import Experiment, MSequence, RandomBinary
@@ -59,6 +61,35 @@ def test_all_of_it_grows_with_the_amplitude(rig: RigConfig) -> None:
     one, two = (predict(experiment(v).schedule(), rig) for v in (1.0, 2.0))
     assert two.rms_current_a == pytest.approx(2 * one.rms_current_a, rel=1e-6)
     assert two.peak_velocity_rad_s == pytest.approx(2 * one.peak_velocity_rad_s, rel=1e-6)
+
+
+def test_a_long_schedule_is_predicted_to_its_end(
+    rig: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its fast part comes last; in pieces or at once, the same."""
+    plan = experiment(1.0)
+    faster = plan.validation.model_copy(update={"amplitude_rad_s": 10.0})
+    schedule = plan.model_copy(update={"validation": faster}).schedule()
+    at_once = predict(schedule, rig)
+    assert at_once.peak_velocity_rad_s > 10.0
+    monkeypatch.setattr("servo_bench.excitation.prediction.SLOTS_AT_ONCE", 100)
+    in_pieces = predict(schedule, rig)
+    assert asdict(in_pieces) == pytest.approx(asdict(at_once), rel=1e-12)
+
+
+def test_a_temperature_that_nobody_can_ask_is_no_limit(rig: RigConfig, tmp_path: Path) -> None:
+    profile = tmp_path / "hot.toml"
+    shipped = Path(drivers.__file__).parent / "profiles/canopen/generic.toml"
+    told = '\n[temperature]\nobject = "0x3201:1"\nc_per_digit = 0.1\n'
+    profile.write_text(shipped.read_text() + told)
+    limits = rig.limits.model_copy(update={"drive_temperature_c": 60.0})
+    drive = rig.drive.model_copy(update={"profile": str(profile)})
+    hot = rig.model_copy(update={"limits": limits, "drive": drive})
+    assert by_subject(preflight(experiment(), hot))["temperature"].level is Level.OK
+    alone = {"interface": "slcan", "channel": "/dev/ttyACM0", "bitrate": 1_000_000}
+    found = by_subject(preflight(experiment(), hot.model_copy(update={"bus": alone})))
+    assert found["temperature"].level is Level.CHANGE
+    assert "slcan has one owner" in found["temperature"].text
 
 
 def test_a_run_that_would_trip_is_stopped_before(rig: RigConfig) -> None:

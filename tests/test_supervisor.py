@@ -188,6 +188,14 @@ def test_a_loop_that_dies_while_power_may_be_on_trips(run: Watched, stage: Stage
     assert trip.kind == "loop ended"
 
 
+def test_a_loop_that_left_without_its_drives_word_trips_when_it_has_said_so(run: Watched) -> None:
+    run.table.stage = Stage.UNCONFIRMED
+    assert run.look() is None
+    trip = run.look(loop_is_gone=True)
+    assert trip is not None
+    assert trip.kind == "stop unconfirmed"
+
+
 @pytest.mark.parametrize("stage", [Stage.STARTING, Stage.OVER])
 def test_a_loop_that_dies_before_or_after_does_not(run: Watched, stage: Stage) -> None:
     run.table.stage = stage
@@ -285,6 +293,28 @@ def test_a_row_gives_back_the_sample_that_was_written(velocity_rad_s: float | No
         table.rows[2]["asked_ns"] = 10**12
         write_answer(table.rows[2], sample)
         assert read_sample(table.rows[2]) == sample
+        late = replace(sample, asked_ns=10**12 + 4_000_000, motor_sampled_ns=10**12 + 4_450_000)
+        write_answer(table.rows[2], late)  # the line was busy when the slot's command was due
+        assert read_sample(table.rows[2]).motor_sampled_ns == late.motor_sampled_ns
+
+
+def test_a_counter_beside_the_drive_is_not_judged_by_the_drives_clock() -> None:
+    """The load turns at 250 deg/s all the time; the drive's request of slot 2 waited for 4 ms."""
+    load_rad_s = math.radians(250.0)
+    limits = Limits(velocity_rad_s=math.radians(400.0), travel_rad=50.0, run_time_s=100.0)
+    guard = Guard(limits, 0.010, 0)
+    for slot, drive_ms in enumerate((0, 10, 24, 30)):
+        sample = Sample(
+            slot,
+            drive_ms * 1_000_000,
+            device_time_us=drive_ms * 1000,
+            motor_position_rad=load_rad_s * drive_ms * 1e-3,
+            load_angle_rad=load_rad_s * slot * 0.010,
+            load_sampled_ns=(slot * 10 + 1) * 1_000_000,
+        )
+        assert guard.breach(sample) is None
+    turned = replace(sample, load_angle_rad=2.0, load_sampled_ns=(4 * 10 + 1) * 1_000_000)
+    assert "load's velocity reached" in (guard.breach(turned) or "")
 
 
 def test_the_loop_stops_when_nobody_watches_it() -> None:

@@ -225,6 +225,44 @@ def test_slots_go_on_counting_syncs_when_the_loop_is_held_up(missed: int) -> Non
     assert np.array_equal(by_device, slots - slots[0]), "a row's sample is its own SYNC's"
 
 
+class HeldUpAtLook(Stalling):
+    """A loop that is held up between two looks at the wire, before a slot's command."""
+
+    def samples(self, until_ns: int) -> Sequence[Sample]:
+        samples = super().samples(until_ns)
+        if until_ns <= self._world.now_ns and self._at:
+            self._at -= 1
+            if not self._at:
+                self._world.pass_until(self._world.now_ns + self._for_us * 1000)
+        return samples
+
+    def next_slot(self, slot: int) -> int:
+        found = super().next_slot(slot)
+        if self._at == 1:
+            self._at = 0
+            self._world.pass_until(self._world.now_ns + self._for_us * 1000)
+        return found
+
+    def command(self, velocity_rad_s: float, slot: int) -> int:
+        return self._axis.command(velocity_rad_s, slot)
+
+
+@pytest.mark.parametrize("at", [40, 41, 60, 61])
+def test_a_sync_between_two_looks_asks_for_a_slot_of_its_own(at: int) -> None:
+    world, settings = following(f"between {at}")
+    schedule = PLAN.schedule()
+    with SlotTable.create(schedule.slots) as table:
+        with world.axis(settings) as axis:
+            held_up: Axis = HeldUpAtLook(axis, world, at, PERIOD_US + 1000)
+            limits = load_rig("rigs/paper.toml").limits
+            player = Player(held_up, schedule, table, limits, RunClock(world), sync_by_drive=True)
+            player.play(0, lambda *_, **__: None)
+        rows = table.rows[table.rows["slot"] != UNPLAYED].copy()
+    slots = rows["slot"]
+    by_device = (rows["device_time_us"] - rows["device_time_us"][0]) / PERIOD_US
+    assert np.array_equal(by_device, slots - slots[0]), "a row's sample is its own SYNC's"
+
+
 def test_a_sync_that_ends_is_bus_silence_and_the_drive_is_stopped_without_it() -> None:
     world, settings = following("silence", faults=("lost frames=sync at=50 count=0",))
     axis = world.axis(settings)

@@ -71,12 +71,14 @@ class CanopenAxis:
         self._nodes: list[Node] = []
         self._drive: DriveLink | None = None
         self._cycle: Cycle | None = None
+        self.may_be_powered = False
         self._own_slot = -(1 << 62)  # ascending and below 0: asked by this master for itself
 
     def __enter__(self) -> Self:
         self._reset()
         try:
             cycle = self._set_up()
+            self.may_be_powered = True
             self._enable(cycle)
         except BaseException as error:
             self._leave(error)
@@ -260,6 +262,7 @@ class CanopenAxis:
             if cycle is not None and drive is not None:
                 problem = self._stop(cycle, drive)
                 stopped = problem is None
+                self.may_be_powered = not stopped
         finally:
             try:
                 self._release(cycle, drive, stopped=stopped)

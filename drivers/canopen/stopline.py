@@ -120,9 +120,14 @@ class CanopenStopLine:
         return Node("drive", self._settings.drive.node.node_id, self._dictionary, line, timeout_s)
 
     def stop(self) -> str | None:
-        """See `StopLine.stop`; a connection that fails is opened once more."""
+        """See `StopLine.stop`; a connection that fails is opened once more.
+
+        NMT stop is the last word of all: a node that is stopped so hears neither PDO nor SDO.
+        """
         reason = ""
         for _ in range(_ATTEMPTS):
+            if reason:
+                self.close()
             try:
                 if self._line is None:
                     self._line = self._connect()
@@ -131,8 +136,8 @@ class CanopenStopLine:
                 reason = "it still says that it is powered"
             except DriverError as error:
                 reason = str(error).rstrip(".")
-            self._last_word()
-            self.close()
+        self._last_word()
+        self.close()
         drive = self._settings.drive
         own_stop = (
             "it does not watch its master (drive.without_watchdog)"

@@ -69,6 +69,11 @@ class AxisWithCounter:
         finally:
             self._counter.close()
 
+    @property
+    def may_be_powered(self) -> bool:
+        """As the drive's axis."""
+        return self._axis.may_be_powered
+
     def command(self, velocity_rad_s: float, slot: int) -> int:
         """As the drive's axis; the counter is asked right after it."""
         asked_ns = self._axis.command(velocity_rad_s, slot)

@@ -41,7 +41,7 @@ class ModbusAxis:
         self._watch = Watch()
         self._link: Link | None = None
         self._cycle: Cycle | None = None
-        self._touched = False  # whether the drive has been told anything that must be undone
+        self.may_be_powered = False  # from the first thing on that must be undone
 
     def __enter__(self) -> Self:
         self._reset()
@@ -95,7 +95,7 @@ class ModbusAxis:
         until_ns = self._clock.now_ns() + round(settings.drive.enable_timeout_s * 1e9)
         registers.follow(profile.prepare, until_ns)
         self._refuse_a_drive_in_use(registers)
-        self._touched = True
+        self.may_be_powered = True
         registers.follow(profile.set_up, until_ns)
         arm_watchdog(registers, settings, self._note)
         self._reset_fault(registers, until_ns)
@@ -139,8 +139,9 @@ class ModbusAxis:
             return
         problem = None
         try:
-            if self._touched:
+            if self.may_be_powered:
                 problem = self._stop(link)
+                self.may_be_powered = problem is not None
         finally:
             link.close()
         if problem is not None:

@@ -4,9 +4,10 @@ target velocity 0 → [[stop]] → at rest → [[disable]] → communication tim
 """
 
 import math
+from contextlib import suppress
 
 from drivers.clock import Clock
-from drivers.errors import DriverError
+from drivers.errors import DriveError, DriverError
 from drivers.modbus import profile as names
 from drivers.modbus.lines import TcpLine
 from drivers.modbus.link import Link
@@ -47,14 +48,16 @@ def stop_anew(settings: ModbusSettings, clock: Clock) -> str | None:
 def stop_over(link: Link, settings: ModbusSettings, clock: Clock) -> str | None:
     """Bring the drive to rest and power it off; what is wrong, or None when it is confirmed.
 
-    Raises WireError where the line fails, DriveError where the drive refuses.
+    Raises WireError where the line fails, DriveError where the drive refuses to stop or to be
+    disabled; whatever it refuses, what comes after is sent all the same.
     """
     link.abandon()
     registers = Registers(link, settings, clock)
     drive, profile = settings.drive, settings.drive.profile
     until_ns = clock.now_ns() + round(drive.stop_timeout_s * 1e9)
-    registers.write(names.TARGET, 0)
     try:
+        with suppress(DriveError):  # what it takes no velocity for, the stop says again
+            registers.write(names.TARGET, 0)
         registers.follow(profile.stop, until_ns)
         stands = _stands(registers, settings, clock, until_ns)
     finally:  # a drive that does not stop is switched off all the same

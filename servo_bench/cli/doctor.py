@@ -1,5 +1,6 @@
 """`servo-bench doctor`: this computer, the wire, the drive, the encoder, and what to change."""
 
+from contextlib import ExitStack
 from typing import Annotated
 
 import typer
@@ -13,6 +14,7 @@ from servo_bench.rig import RigConfig, load_rig
 from servo_bench.run.axes import axis_settings
 from servo_bench.run.doctor import canopen, counter, host, modbus, move
 from servo_bench.run.finding import Finding, Level, stop
+from servo_bench.run.lock import holding_rig
 
 
 def add_to(app: typer.Typer) -> None:
@@ -39,19 +41,22 @@ def doctor(
     if port is not None:
         chosen = chosen.with_bus(port=port)
     console = Console(emoji=False)
-    findings = [*host.examine(), *_wire(chosen, period_ms * 1e-3)]
-    show(console, findings)
-    if moving:
-        told = _move(chosen, period_ms * 1e-3, findings, yes=yes)
-        show(console, told)
-        findings = findings + told
-    else:
-        show(console, [move.advice()])
+    with ExitStack() as held:
+        findings = [*host.examine(), *_wire(chosen, period_ms * 1e-3, held)]
+        show(console, findings)
+        if moving:
+            told = _move(chosen, period_ms * 1e-3, findings, yes=yes)
+            show(console, told)
+            findings = findings + told
+        else:
+            show(console, [move.advice()])
     conclude(console, findings, "the rig is ready.")
 
 
-def _wire(rig: RigConfig, period_s: float) -> list[Finding]:
+def _wire(rig: RigConfig, period_s: float, held: ExitStack) -> list[Finding]:
+    """What the wire tells, and the rig held for a move; nothing where somebody else has it."""
     try:
+        held.enter_context(holding_rig(rig.bus, "servo-bench doctor"))
         settings, beside = axis_settings(rig, period_s), rig.counter_settings(period_s)
         told = [] if beside is None else counter.examine(beside)
         if isinstance(settings, CanopenSettings):

@@ -9,6 +9,7 @@ from servo_bench.cli.findings import conclude, show
 from servo_bench.excitation.experiment import load_experiment
 from servo_bench.files import find
 from servo_bench.rig import load_rig
+from servo_bench.run.lock import holding_rig
 from servo_bench.run.preflight import preflight as examine
 from servo_bench.run.preflight_read import read_drive
 
@@ -42,7 +43,8 @@ def preflight(
     findings = examine(plan, chosen)
     show(console, findings)
     if read:
-        told = read_drive(plan, chosen)
+        with holding_rig(chosen.bus, "servo-bench preflight"):
+            told = read_drive(plan, chosen)
         show(console, told)
         findings = findings + told
     conclude(console, findings, "nothing stands against this run.")

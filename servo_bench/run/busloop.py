@@ -41,6 +41,7 @@ from servo_bench.run.supervisor import check_watched, start
 from servo_bench.run.table import SlotTable, Stage
 
 SETTLE_S = 0.5
+"""For the last answers, in which the motor is told to stand."""
 Tell = Callable[..., None]
 
 
@@ -130,15 +131,15 @@ class Player:
     def _play(self, pace: Pace, guard: Guard, tell: Tell) -> None:
         tick, ticks = 0, self._schedule.slots * self._parts
         while tick < ticks and not self._table.stop_asked:
-            woken_ns, due = pace.turn(tick)
+            woken_ns = pace.wake(tick)
             self._table.beat_ns = woken_ns
             check_watched(self._table, woken_ns)
-            due = min(due, ticks)
+            self._settle(self._axis.samples(woken_ns), guard)
+            due = min(pace.due(tick, woken_ns), ticks)
             if due > tick:
                 self._skip(tick, due, tell)
                 tick = due
                 continue
-            self._settle(self._axis.samples(woken_ns), guard)
             slot, part = divmod(tick, self._parts)
             if part == 0:
                 self._held_rad_s = float(self._schedule.velocity_rad_s[slot])
@@ -148,7 +149,22 @@ class Player:
             self._heed(tell)
             tick += 1
         self._table.stage = Stage.STOPPING
-        self._settle(self._axis.samples(self._clock.now_ns() + round(SETTLE_S * NS_PER_S)), guard)
+        self._rest(tick, pace, guard)
+        for event in self._axis.events():
+            tell(event.kind, event.text, time_ns=event.time_ns, fatal=event.fatal)
+
+    def _rest(self, tick: int, pace: Pace, guard: Guard) -> None:
+        """Wait for what has not been answered, the motor at velocity 0 from the next tick on: those
+        that ask for it have no row."""
+        self._settle(self._axis.samples(self._clock.now_ns()), guard)
+        end_ns = self._clock.now_ns() + round(SETTLE_S * NS_PER_S)
+        while self._open and self._clock.now_ns() < end_ns:
+            woken_ns = pace.wake(tick)
+            tick = pace.due(tick, woken_ns)
+            asked_ns = self._axis.command(0.0, tick)
+            pace.lateness_s(tick, woken_ns, asked_ns)
+            self._settle(self._axis.samples(pace.until_ns(tick)), guard)
+            tick += 1
 
     def _skip(self, tick: int, due: int, tell: Tell) -> None:
         first, end = -(-tick // self._parts), -(-due // self._parts)  # slots whose command is lost
@@ -183,6 +199,8 @@ class Player:
     def _settle(self, samples: Iterable[Sample], guard: Guard) -> None:
         for sample in samples:
             slot, part = divmod(sample.slot, self._parts)
+            if sample.slot not in self._open:
+                continue
             self._open.remove(sample.slot)
             if self._parts > 1:
                 write_fast(self._table.fast[sample.slot], sample, slot)
@@ -237,8 +255,9 @@ def run_job(job: Job, table: SlotTable) -> None:
     for sentence in make_punctual(job.priority):
         tell("not punctual", sentence)
     table.stage = Stage.ENABLING
+    axis: Axis | None = None
     try:
-        with gathered(), open_axis(job.rig, job.experiment.period_s) as axis:
+        with gathered(), (axis := open_axis(job.rig, job.experiment.period_s)):
             # the next period already: a drive that watches SYNC allows no pause after enabling
             start_ns = monotonic_ns() + round(job.experiment.period_s * NS_PER_S)
             tell("playing", "the drive is enabled", start_ns=start_ns)
@@ -251,7 +270,8 @@ def run_job(job: Job, table: SlotTable) -> None:
             asked = table.stop_asked
             tell("stopping", "the last slot was played" if not asked else "asked to stop")
     finally:
-        table.stage = Stage.OVER
+        stopped = axis is None or not axis.may_be_powered
+        table.stage = Stage.OVER if stopped else Stage.UNCONFIRMED
 
 
 def main(session_pid: int) -> int:

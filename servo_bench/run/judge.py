@@ -4,15 +4,16 @@ First line of defence is the bus loop, which checks every sample as it comes and
 itself. What it should have seen and has not acted on after `grace_s` is a trip, and so is all that
 it cannot see: that it hangs, or has died.
 
-    kind            when
-    loop ended      its process is gone while the drive may be powered
-    loop hung       no slot begun for limits.blind_s, or a stop that takes longer than it can
-    stop ignored    the operator asked for a stop, and it plays on
-    limit           travel, velocity, torque, run time, temperature
-    drive           a statusword that is not enabled, an emergency, a restart
-    implausible     following error, encoder disagreement, a stuck encoder
-    bus silent      no answer of the drive, or of the load's encoder once it has answered, to any
-                    slot for longer than the axis itself allows
+    kind                when
+    loop ended          its process is gone while the drive may be powered
+    stop unconfirmed    it has ended in words, and the drive did not confirm to it that it stands
+    loop hung           no slot begun for limits.blind_s, or a stop that takes longer than it can
+    stop ignored        the operator asked for a stop, and it plays on
+    limit               travel, velocity, torque, run time, temperature
+    drive               a statusword that is not enabled, an emergency, a restart
+    implausible         following error, encoder disagreement, a stuck encoder
+    bus silent          no answer of the drive, or of the load's encoder once it has answered, to
+                        any slot for longer than the axis itself allows
 """
 
 import math
@@ -31,6 +32,7 @@ from servo_bench.run.table import UNPLAYED, SlotTable, Stage, Trip
 
 KINDS: dict[str, type[BenchError]] = {
     "loop ended": WireError,
+    "stop unconfirmed": WireError,
     "loop hung": WireError,
     "stop ignored": WireError,
     "limit": LimitError,
@@ -43,7 +45,8 @@ KINDS: dict[str, type[BenchError]] = {
 ANSWER_PATIENCE_S = 0.4
 """The axis itself gives up after 0.25 s without an answer."""
 STOP_PATIENCE_S = 5.0
-_POWERED = (Stage.ENABLING, Stage.PLAYING, Stage.STOPPING)
+_ENDING = (Stage.STOPPING, Stage.UNCONFIRMED)
+_POWERED = (Stage.ENABLING, Stage.PLAYING, *_ENDING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +101,7 @@ class Judge:
             self._stage, self._stage_ns = stage, now_ns
         if loop_is_gone:
             return self._orphaned(table) if stage in _POWERED else None
-        if stage == Stage.STOPPING and now_ns - self._stage_ns > self._stop_patience_s * NS_PER_S:
+        if stage in _ENDING and now_ns - self._stage_ns > self._stop_patience_s * NS_PER_S:
             return Trip(
                 "loop hung",
                 f"the bus loop has been stopping the rig for more than {self._stop_patience_s:g} "
@@ -109,6 +112,11 @@ class Judge:
         return self._while_playing(now_ns, table, heard, temperature_c)
 
     def _orphaned(self, table: SlotTable) -> Trip:
+        if table.stage == Stage.UNCONFIRMED:
+            return Trip(
+                "stop unconfirmed",
+                f"the bus loop ended in slot {table.slot} without the drive's word that it stands.",
+            )
         return Trip(
             "loop ended",
             f"the bus process ended without a word in slot {table.slot}, while the drive may have "

@@ -76,8 +76,9 @@ class Guard:
     """Watches the samples of a run; `breach` says in words which limit was left, or None.
 
     Travel is counted from the first sample. Velocity is the angle's difference over the time
-    between the two samples: by the device's own clock where both came with one, else the longer of
-    the time between the asks and the time between the answers, and half a period at the least, so
+    between the two samples: for a load whose counter is asked beside the drive, between when its
+    counts were taken; else by the device's own clock where both came with one, or the longer of the
+    time between the asks and the time between the answers. It is half a period at the least, so
     that a frame that was held up on its way is no velocity.
     """
 
@@ -121,7 +122,7 @@ class Guard:
         travel_rad = angle_rad - self._first.setdefault(name, angle_rad)
         then, then_rad = self._last.get(name, (sample, angle_rad))
         self._last[name] = (sample, angle_rad)
-        velocity_rad_s = (angle_rad - then_rad) / self._elapsed_s(then, sample)
+        velocity_rad_s = (angle_rad - then_rad) / self._elapsed_s(name, then, sample)
         for what, got, allowed, unit in (
             ("travel", travel_rad, self.limits.travel_rad, "deg"),
             ("velocity", velocity_rad_s, self.limits.velocity_rad_s, "deg/s"),
@@ -133,14 +134,24 @@ class Guard:
                 )
         return None
 
-    def _elapsed_s(self, then: Sample, now: Sample) -> float:
-        if then.device_time_us is not None and now.device_time_us is not None:
+    def _elapsed_s(self, name: str, then: Sample, now: Sample) -> float:
+        taken_ns = [_taken_apart(sample) if name == "load" else None for sample in (then, now)]
+        if taken_ns[0] is not None and taken_ns[1] is not None:
+            elapsed_s = (taken_ns[1] - taken_ns[0]) / NS_PER_S
+        elif then.device_time_us is not None and now.device_time_us is not None:
             elapsed_s = ((now.device_time_us - then.device_time_us) % DEVICE_TIME_RANGE_US) * 1e-6
         else:
             elapsed_s = (
                 max(now.asked_ns - then.asked_ns, _answered(now) - _answered(then)) / NS_PER_S
             )
         return max(elapsed_s, self.period_s / 2)
+
+
+def _taken_apart(sample: Sample) -> int | None:
+    """When the load's angle was taken where that was not with the drive's: by a counter beside it,
+    whose time the drive's clock does not tell."""
+    taken_ns = sample.load_sampled_ns
+    return None if taken_ns in (sample.motor_sampled_ns, sample.asked_ns) else taken_ns
 
 
 def _answered(sample: Sample) -> int:

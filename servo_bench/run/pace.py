@@ -17,8 +17,12 @@ from servo_bench.errors import ConfigError
 class Pace(Protocol):
     """When the next tick is, and until when its answers may be waited for."""
 
-    def turn(self, tick: int) -> tuple[int, int]:
-        """Wait for the turn of `tick`: the time of waking, and which tick it is then."""
+    def wake(self, tick: int) -> int:
+        """Wait for the turn of `tick`: the time of waking."""
+        ...
+
+    def due(self, tick: int, woken_ns: int) -> int:
+        """Which tick it is, `tick` or a later one; asked when all that had come was taken."""
         ...
 
     def lateness_s(self, tick: int, woken_ns: int, asked_ns: int) -> float:
@@ -38,10 +42,13 @@ class HostPace:
         self._grid = Grid(start_ns, round(period_s * NS_PER_S))
         self._margin_ns = min(self._grid.period_ns // 8, 500_000)
 
-    def turn(self, tick: int) -> tuple[int, int]:
-        """See `Pace.turn`."""
-        woken_ns = self._clock.sleep_until(self._grid.deadline_ns(tick))
-        return woken_ns, self._grid.due(tick, woken_ns)
+    def wake(self, tick: int) -> int:
+        """See `Pace.wake`."""
+        return self._clock.sleep_until(self._grid.deadline_ns(tick))
+
+    def due(self, tick: int, woken_ns: int) -> int:
+        """See `Pace.due`."""
+        return self._grid.due(tick, woken_ns)
 
     def lateness_s(self, tick: int, woken_ns: int, asked_ns: int) -> float:  # noqa: ARG002
         """Wake-up after the deadline."""
@@ -70,9 +77,13 @@ class DrivePace:
         self._period_ns = round(period_s * NS_PER_S)
         self._last: tuple[int, int] | None = None
 
-    def turn(self, tick: int) -> tuple[int, int]:
-        """See `Pace.turn`; waits for nothing, because `Axis.command` does."""
-        return self._clock.now_ns(), self._axis.next_slot(tick)
+    def wake(self, tick: int) -> int:  # noqa: ARG002
+        """See `Pace.wake`; waits for nothing, because `Axis.command` does."""
+        return self._clock.now_ns()
+
+    def due(self, tick: int, woken_ns: int) -> int:  # noqa: ARG002
+        """See `Pace.due`: a SYNC that came while samples were taken asked for nobody's slot."""
+        return self._axis.next_slot(tick)
 
     def lateness_s(self, tick: int, woken_ns: int, asked_ns: int) -> float:  # noqa: ARG002
         """How much later than a period after the SYNC before it a SYNC was taken; may be < 0."""

@@ -14,6 +14,7 @@ from drivers.canopen.budget import BIT_RATES, FULL, REMEDY, bus_budget
 from drivers.canopen.profile import DriveProfile
 from drivers.canopen.scaling import velocity_unit_rad_s
 from drivers.canopen.settings import CanopenSettings
+from drivers.canopen.stopline import SHARED_BUSES
 from drivers.counter.settings import CounterSettings, sum_of
 from drivers.modbus import profile as names
 from drivers.modbus.budget import shortest_period
@@ -68,6 +69,14 @@ def _attempt(subject: str, check: Callable[[], list[Finding]]) -> list[Finding]:
 def _temperature(settings: CanopenSettings | ModbusSettings, limit_c: float) -> Finding:
     """Whether anybody tells the temperature that has a limit."""
     profile = settings.drive.profile
+    owner = None if isinstance(settings, ModbusSettings) else settings.bus.get("interface")
+    if owner is not None and owner not in SHARED_BUSES:
+        return change(
+            "temperature",
+            f"limits.drive_temperature_c = {limit_c:g} watches nothing: it is asked over a second "
+            f"connection to the bus, and {owner} has one owner. Use one of "
+            f"{', '.join(sorted(SHARED_BUSES))}, or take the limit out.",
+        )
     if isinstance(settings, ModbusSettings):
         block = [name for read in settings.drive.profile.cycle.read for name in read]
         told = names.TEMPERATURE in block

@@ -18,8 +18,9 @@ _FLOATS = (
 
 
 def write_answer(row: Any, sample: Sample) -> None:
-    """Put what a sample brought into its slot's row."""
-    row["slot"] = sample.slot
+    """Put what a sample brought into its slot's row; a command that waited for its line went out
+    when the sample says."""
+    row["slot"], row["asked_ns"] = sample.slot, sample.asked_ns
     for name in ("statusword", *_COUNTS, *_FLOATS):
         value = getattr(sample, name)
         if value is not None:
@@ -36,7 +37,7 @@ def write_answer(row: Any, sample: Sample) -> None:
 
 def write_fast(row: Any, sample: Sample, slot: int) -> None:
     """Put the angles of one of a slot's several samples into its row."""
-    row["slot"] = slot
+    row["slot"], row["asked_ns"] = slot, sample.asked_ns
     for name in (*_COUNTS, "motor_position_rad", "load_angle_rad"):
         value = getattr(sample, name)
         if value is not None:

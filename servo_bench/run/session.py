@@ -321,8 +321,11 @@ class _Watch:
     def what_ended_it(self, loop: _Loop) -> BenchError | None:
         """What the loop reported, or what its exit status means, kept as an event in any case;
         None after a good run."""
+        trip = self._table.trip
         if self._ending is not None:
-            return _error_class(self._ending)(self._ending.text)
+            unsaid = trip is None or trip.kind != "stop unconfirmed"
+            more = "" if unsaid else f" The safety supervisor: {self._supervisors_stop}."
+            return _error_class(self._ending)(f"{self._ending.text}{more}")
         error = self._unreported(loop.process.returncode)
         if error is not None:
             data = {"error": type(error).__name__}

@@ -54,13 +54,15 @@ def _empty(fields: tuple[tuple[str, str], ...], dtype: "np.dtype[np.void]") -> N
 
 
 class Stage(IntEnum):
-    """Where the bus loop is: power may be on from ENABLING to STOPPING."""
+    """Where the bus loop is: power may be on from ENABLING to STOPPING, and after the loop where
+    it left UNCONFIRMED."""
 
     STARTING = 0
     ENABLING = 1
     PLAYING = 2
     STOPPING = 3
     OVER = 4
+    UNCONFIRMED = 5
 
 
 @dataclass(frozen=True, slots=True)

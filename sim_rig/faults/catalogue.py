@@ -10,6 +10,7 @@ Every kind but sdo-abort and slow-slave begins at SYNC `at`, counted from 0 sinc
 enabled; below 0 is from power-on.
 """
 
+import math
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -29,6 +30,18 @@ _CHOICES = {
     "access": ("read", "write", "any"),
     "power": ("on", "off"),
 }
+_RANGES: dict[str, tuple[float, float]] = {
+    **dict.fromkeys(("delay_ms", "most_ms", "for_ms"), (0.0, 1e6)),
+    "count": (0, 1 << 31),
+    "rate": (0.0, 1.0),
+    "value": (0, 0xFFFF),
+    "emcy code": (1, 0xFFFF),
+    "sdo-abort code": (0, 0xFFFF_FFFF),
+    "encoder-noise counts": (0.0, 1e9),
+    "encoder-jump counts": (-(1 << 31), 1 << 31),
+}
+"""Of a value of that name, or of one kind's."""
+_OBJECT, _SUB, _COB_ID = 0xFFFF, 0xFF, 0x7FF
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,15 +130,19 @@ def _value(line: str, name: str, text: str, default: Any) -> int | float | str:
     try:
         if name == "object":
             index, _, sub = text.partition(":")
-            int(index, 16), int(sub or "0")
+            _within(0, int(index, 16), _OBJECT)
+            _within(0, int(sub or "0"), _SUB)
             return text
         if name == "frames":
-            return text if text in NAMES else hex(int(text, 16))
+            return text if text in NAMES else hex(int(_within(0, int(text, 16), _COB_ID)))
         if isinstance(default, str):
             if text not in _CHOICES[name]:
                 raise ValueError(f"one of {', '.join(_CHOICES[name])}")
             return text
-        return int(text, 0) if isinstance(default, int) else float(text)
+        number = int(text, 0) if isinstance(default, int) else float(text)
+        anything = _RANGES.get(name, (-math.inf, math.inf))
+        least, most = _RANGES.get(f"{line.split(maxsplit=1)[0]} {name}", anything)
+        return _within(least, number, most)
     except ValueError as error:
         allowed = {
             "object": "an object, 0x60C2 or 0x60C2:1",
@@ -134,6 +151,13 @@ def _value(line: str, name: str, text: str, default: Any) -> int | float | str:
         raise RigSettingsError(
             f"fault {line!r}: {name} = {text!r} cannot be; it is {allowed} ({error})."
         ) from error
+
+
+def _within(least: float, number: float, most: float) -> float:
+    """The number; ValueError, saying what is allowed, where it is none that can be."""
+    if math.isfinite(number) and least <= number <= most:
+        return number
+    raise ValueError(f"a finite number from {least:g} to {most:g}")
 
 
 def make(line: str, targets: Targets, seed: int, place: int) -> Fault:

@@ -1,0 +1,224 @@
+"""A stop whose first word is lost, refused, or not confirmed: nothing turns on meanwhile."""
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import pytest
+from pymodbus.pdu import ExceptionResponse, ModbusPDU
+
+from drivers.axis import Sample
+from drivers.canopen.master import CanopenAxis
+from drivers.canopen.node import NMT_STOP
+from drivers.canopen.settings import CanopenSettings
+from drivers.canopen.stopline import CanopenStopLine
+from drivers.clock import SYSTEM_CLOCK
+from drivers.errors import DriveError, DriverError
+from drivers.modbus.link import Reply
+from drivers.modbus.stopping import stop_over
+from servo_bench.errors import DriveError as BenchDriveError
+from servo_bench.rig import load_rig
+from servo_bench.run import busloop
+from servo_bench.run.busloop import Job, player_for, run_job
+from servo_bench.run.table import UNPLAYED, SlotTable, Stage
+from servo_bench.run.virtual_wire import VirtualWire
+from tests.small_runs import experiment, paper_rig
+from tests.virtual_rig import VirtualRig, install
+
+PERIOD_S, PERIOD_NS = 0.008, 8_000_000
+LAST = 299
+SDO_ANSWER = 0x581
+
+
+@pytest.mark.parametrize("fault", ["", "lost frames=drive-state at=295", "lost frames=load at=299"])
+def test_while_an_answer_that_is_lost_is_waited_for_the_motor_is_told_to_stand(fault: str) -> None:
+    """It turned at 150 deg/s when the stop was asked; and what was answered is recorded."""
+    rig = paper_rig().with_faults(fault) if fault else paper_rig()
+    wire = VirtualWire(rig.simulation_settings())
+    settings = rig.model_copy(update={"bus": wire.bus}).canopen_settings(PERIOD_S)
+    schedule = experiment().schedule()
+    with SlotTable.create(schedule.slots) as table, StoppedAxis(settings, wire, table) as axis:
+        player = player_for(rig, axis, schedule, table, wire.run_clock())
+        player.play(wire.now_ns + PERIOD_NS, lambda *_, **__: None)
+        assert table.done == LAST + 1
+        assert list(table.rows["slot"][: LAST + 2]) == [*range(LAST + 1), UNPLAYED]
+        answered = np.isfinite(table.rows["motor_position_rad"][: LAST + 1])
+        assert np.count_nonzero(~answered) == ("drive-state" in fault)
+        last_s, last_rad_s = axis.commands[-1]
+        if fault:
+            assert last_rad_s == 0.0
+            first_s = next(at_s for at_s, command in axis.commands if at_s and command == 0.0)
+            assert first_s - axis.asked_s <= 1.5 * PERIOD_S
+            assert last_s - first_s <= settings.answer_timeout_s + 2 * PERIOD_S
+        else:
+            assert abs(last_rad_s) == pytest.approx(np.radians(150.0))
+            assert wire.now_ns * 1e-9 - last_s <= PERIOD_S
+
+
+class StoppedAxis(CanopenAxis):
+    """Asks to stop with a command in the middle, as an operator would; knows what came after."""
+
+    def __init__(self, settings: CanopenSettings, wire: VirtualWire, table: SlotTable) -> None:
+        super().__init__(settings, wire.drivers_clock())
+        self._wire, self._table = wire, table
+        self.asked_s = 0.0
+        self.commands: list[tuple[float, float]] = []
+
+    def command(self, velocity_rad_s: float, slot: int) -> int:
+        now_s = self._wire.now_ns * 1e-9
+        if slot == LAST:
+            self._table.ask_stop()
+            self.asked_s = now_s
+        if self.asked_s:
+            self.commands.append((now_s, velocity_rad_s))
+        return super().command(velocity_rad_s, slot)
+
+
+@dataclass
+class LeftAxis:
+    """An axis that is entered and left; whether its drive confirmed the stop is given."""
+
+    confirmed: bool
+    refused: bool = False
+    may_be_powered: bool = field(default=False, init=False)
+
+    def __enter__(self) -> Self:
+        self.may_be_powered = not self.confirmed
+        if self.refused:
+            raise DriveError("it does not enable")
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None: ...
+
+    def command(self, velocity_rad_s: float, slot: int) -> int:
+        raise DriveError("the bus is gone")
+
+    def samples(self, until_ns: int) -> list[Sample]:
+        return []
+
+    def events(self) -> list[Any]:
+        return []
+
+
+@pytest.mark.parametrize("refused", [False, True])
+@pytest.mark.parametrize(("confirmed", "stage"), [(True, Stage.OVER), (False, Stage.UNCONFIRMED)])
+def test_the_loop_is_over_where_the_drive_confirmed_its_stop_and_there_only(
+    monkeypatch: pytest.MonkeyPatch, confirmed: bool, stage: Stage, refused: bool
+) -> None:
+    axis = LeftAxis(confirmed, refused)
+    monkeypatch.setattr(busloop, "open_axis", lambda rig, period_s: axis)
+    monkeypatch.setattr(busloop, "make_punctual", lambda priority: ())
+    monkeypatch.setattr(busloop, "tell", lambda *_, **__: None)
+    plan = experiment()
+    with SlotTable.create(plan.schedule().slots) as table:
+        with pytest.raises(BenchDriveError):
+            run_job(Job(plan, paper_rig(), table.descriptor), table)
+        assert table.stage is stage
+
+
+@pytest.fixture
+def turning(monkeypatch: pytest.MonkeyPatch) -> tuple[VirtualRig, CanopenAxis]:
+    """The software rig at 2 rad/s, whose master has gone without a word."""
+    install()
+    rig = VirtualRig("turning")
+    axis = rig.axis()
+    axis.__enter__()
+    for slot in range(40):
+        asked_ns = axis.command(2.0, slot)
+        axis.samples(asked_ns + PERIOD_NS // 2)
+        rig.pass_until(asked_ns + PERIOD_NS)
+    return rig, axis
+
+
+def test_a_stop_whose_answer_is_lost_is_tried_again_by_a_node_that_hears(
+    turning: tuple[VirtualRig, CanopenAxis],
+) -> None:
+    rig, _ = turning
+    swallow(rig, 1)
+    line = CanopenStopLine(rig.canopen_settings(), rig.clock())
+    assert line.stop() is None
+    assert not rig.powered
+    assert (0x000, bytes((NMT_STOP, 1))) not in rig.sent
+
+
+def test_nmt_stop_is_the_last_word_to_a_drive_that_answers_nothing(
+    turning: tuple[VirtualRig, CanopenAxis],
+) -> None:
+    rig, _ = turning
+    swallow(rig, 1000)
+    problem = CanopenStopLine(rig.canopen_settings(), rig.clock()).stop()
+    assert problem is not None
+    assert rig.sent[-1] == (0x000, bytes((NMT_STOP, 1)))
+    asked = [data for can_id, data in rig.sent if can_id == 0x201]
+    assert asked[-2:] == [struct.pack("<Hi", 0x0002, 0)] * 2
+
+
+def swallow(rig: VirtualRig, answers: int) -> None:
+    """Lose so many of the drive's SDO answers."""
+    heard: Callable[[int, bytes], None] = rig._heard
+    left = [answers]
+
+    def lossy(can_id: int, data: bytes) -> None:
+        if can_id == SDO_ANSWER and left[0]:
+            left[0] -= 1
+        else:
+            heard(can_id, data)
+
+    rig.rig._send = lossy
+
+
+def test_an_axis_may_be_powered_until_its_drive_says_otherwise(
+    turning: tuple[VirtualRig, CanopenAxis],
+) -> None:
+    rig, axis = turning
+    assert axis.may_be_powered
+    axis.__exit__(None, None, None)
+    assert not axis.may_be_powered
+    assert not rig.powered
+
+
+class Deaf:
+    """A Modbus drive that refuses its target velocity, and whatever else is named."""
+
+    name, strays, damaged = "drive 1", 0, 0
+
+    def __init__(self, refused: int) -> None:
+        self.refused = refused
+        self.wrote: list[int] = []
+
+    def begin(self, request: ModbusPDU) -> int:
+        self.request = request
+        return SYSTEM_CLOCK.now_ns()
+
+    def poll(self, until_ns: int) -> Reply:
+        address = self.request.address
+        if self.request.function_code in (6, 16):
+            self.wrote.append(address)
+            if address == self.refused:
+                return Reply(
+                    ExceptionResponse(self.request.function_code, 6), SYSTEM_CLOCK.now_ns()
+                )
+        raise StopIteration
+
+    def abandon(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def test_a_modbus_drive_that_takes_no_velocity_is_stopped_and_disabled_all_the_same() -> None:
+    settings = load_rig("rigs/modbus-tcp.toml").modbus_settings(PERIOD_S)
+    items = settings.drive.profile.items
+    target = items["target_velocity"].address
+    link = Deaf(target)
+    with pytest.raises((DriverError, StopIteration)):
+        stop_over(link, settings, SYSTEM_CLOCK)  # type: ignore[arg-type]
+    stop = settings.drive.profile.stop[0]
+    assert link.wrote[:2] == [target, items[stop.write].address]

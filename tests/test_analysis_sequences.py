@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from servo_bench.errors import FitError, RecordingError
+from servo_bench.excitation.experiment import Phase
 from servo_bench.excitation.sequences import (
     FieldSequence,
     FromRecording,
@@ -13,9 +14,11 @@ from servo_bench.excitation.sequences import (
     MSequence,
     MultiAmplitude,
     Periodic,
+    inverse_repeat,
 )
 from servo_bench.kernels.analysis import Analysis, analyse
 from servo_bench.kernels.labels import Label
+from servo_bench.kernels.separation import extract_inverse_repeat
 from servo_bench.recording.recording import Recording
 from tests.played_rig import Rig, experiment, recording_of, rows_of
 
@@ -50,6 +53,34 @@ def _field(field: int, degree: int) -> FieldSequence:
 @pytest.fixture(scope="module")
 def plain() -> Analysis:
     return analyse(_played(MSequence(polynomial="15341", amplitude_rad_s=AMPLITUDE)))
+
+
+@pytest.mark.parametrize(("polynomial", "memory"), [("12147", 19), ("15341", 18)])
+def test_inverse_repeat_resolves_the_memory_that_a_search_names(
+    polynomial: str, memory: int
+) -> None:
+    """A plant of four products, the longest lags among them: each coefficient as it was put in."""
+    chips = inverse_repeat(polynomial).astype(float)
+    end, second = memory - 1, memory - 2
+    put_in = {(2,): 1.5, (0, end): -0.7, (0, 5, end): 0.4, (1, second, end): 0.9}
+    lagged = {lag: np.roll(chips, lag) for lags in put_in for lag in lags}
+    answer = sum(
+        size * np.prod([lagged[lag] for lag in lags], axis=0) for lags, size in put_in.items()
+    )
+    found = extract_inverse_repeat(answer, polynomial, 1.0, memory)
+    measured = (found.c1, found.c2, found.c3)
+    for kernel, order in zip(measured, (1, 2, 3), strict=True):
+        told = {tuple(map(int, at)): kernel[tuple(at)] for at in np.argwhere(np.abs(kernel) > 0.01)}
+        assert told == pytest.approx({k: v for k, v in put_in.items() if len(k) == order}, abs=0.01)
+    with pytest.raises(FitError, match=f"from {memory + 1} samples on"):
+        extract_inverse_repeat(answer, polynomial, 1.0, memory + 1)
+
+
+def test_without_validation_the_kernels_are_those_of_the_largest_amplitude() -> None:
+    recording = _played(_levels(0.5, 1.0))
+    end = int(np.flatnonzero(recording["phase"] == Phase.VALIDATION)[0])
+    cut = replace(recording, channels={k: v[:end] for k, v in recording.channels.items()})
+    assert analyse(cut).kernels.amplitude == pytest.approx(AMPLITUDE)
 
 
 def test_inverse_repeat_finds_the_kernels_of_the_plain_sequence(plain: Analysis) -> None:

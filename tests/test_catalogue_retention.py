@@ -9,10 +9,10 @@ import pytest
 from typer.testing import CliRunner
 
 from servo_bench.catalogue import Catalogue
-from servo_bench.catalogue.beside import beside
+from servo_bench.catalogue.beside import FIGURE, beside, make_way_for_figures
 from servo_bench.catalogue.retention import age, delete, let_go
 from servo_bench.cli import catalogue as command
-from servo_bench.errors import ConfigError
+from servo_bench.errors import ConfigError, RecordingError
 from tests.recording_files import FACTS, rows, write
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
@@ -54,7 +54,7 @@ def test_what_is_no_age(text: str) -> None:
 def test_deleting_takes_the_files_beside_too_and_nothing_else(catalogue: Catalogue) -> None:
     old = catalogue.folder / "old.mcap"
     for place in beside(old):
-        place.write_text("{}")
+        place.write_text(json.dumps({FIGURE: 98.0}))
     catalogue.refresh()
     before = set(catalogue.folder.glob("*.mcap"))
     gone = [run for run in catalogue.all() if run.name == "old"]
@@ -63,6 +63,22 @@ def test_deleting_takes_the_files_beside_too_and_nothing_else(catalogue: Catalog
     assert set(catalogue.folder.glob("*.mcap")) == before - {old}
     assert not any(place.exists() for place in beside(old))
     assert catalogue.search("old").total == 0
+
+
+def test_what_a_measurement_was_imported_from_stays(catalogue: Catalogue) -> None:
+    old = catalogue.folder / "old.mcap"
+    theirs = {old.with_suffix(".json"): "[[0.0, 1.5], [0.008, 1.6]]", old.with_suffix(".html"): "x"}
+    for place, text in theirs.items():
+        place.write_text(text)
+    catalogue.refresh()
+    done = delete(catalogue, [run for run in catalogue.all() if run.name == "old"])
+    assert done.deleted == 1
+    assert {place: place.read_text() for place in theirs} == theirs
+    tagged = catalogue.folder / "tagged.mcap"
+    tagged.with_suffix(".json").write_text("[[0.0, 1.5]]")
+    with pytest.raises(RecordingError, match=r"tagged\.json is there and holds no figures"):
+        make_way_for_figures(tagged)
+    make_way_for_figures(catalogue.folder / "new.mcap")
 
 
 def test_what_has_changed_since_it_was_listed_is_kept(catalogue: Catalogue) -> None:

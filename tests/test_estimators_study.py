@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from servo_bench.estimators.least_squares import LeastSquaresFit
 from servo_bench.estimators.study import Study, study, training_of
 from servo_bench.excitation.sequences import InverseRepeat, MultiAmplitude
 from servo_bench.kernels.analysis import analyse
@@ -81,6 +82,15 @@ def test_inverse_repeat_and_amplitudes_are_trainings_too() -> None:
         result = study(recording, analysis, ("grey-box",))
         assert result.fits[0].vaf_fresh_percent > 99.5
         assert (result.labels.count(Label.IDENTIFIABLE) > 45 + 120) == bool(gone)
+
+
+def test_a_memory_that_is_asked_for_is_every_estimators() -> None:
+    recording = _short()
+    analysis = analyse(recording, memory=6)
+    for memory in (4, 6):
+        predictor = study(recording, analysis, ("least-squares",), memory).fits[0].predictor
+        assert isinstance(predictor, LeastSquaresFit)
+        assert predictor.memory == memory
 
 
 def test_what_kind_of_nonlinearity_is_said_in_words() -> None:

@@ -72,6 +72,8 @@ def test_a_map_that_does_not_fit_is_named(tmp_path: Path, plan: str, says: str) 
 @pytest.mark.parametrize(
     ("content", "plan", "says"),
     [
+        ("t;i\n0;998,5\n1;1.000\n", PLAIN + '[file]\ndecimal = ","\ndelimiter = ";"',
+         "column 'i' is '1.000', and must be a number"),
         ("", PLAIN, "is empty: it has 0 bytes"),
         ("\n# a\n\n", PLAIN, "is empty: it has no line that is neither blank nor a comment"),
         ("t,i\n", PLAIN, "is empty: it has 0 rows under t, i. Give a file with at least 2"),

@@ -148,6 +148,13 @@ def test_scale_offset_sign_product_bits_constant_and_unwrap(tmp_path: Path) -> N
         role = "phase"
         value = 2
         [[channel]]
+        role = "motor_velocity"
+        value = 3
+        scale = 2
+        sign = -1
+        times = "supply"
+        unit = "rad/s"
+        [[channel]]
         role = "motor_position"
         column = "angle"
         unit = "deg"
@@ -160,6 +167,7 @@ def test_scale_offset_sign_product_bits_constant_and_unwrap(tmp_path: Path) -> N
     np.testing.assert_allclose(recording["voltage_v"], [10.0, -20.0, -0.1])
     np.testing.assert_allclose(np.rad2deg(recording["motor_position_rad"]), [350, 365, 380])
     assert recording["phase"].tolist() == [2, 2, 2]
+    assert recording["motor_velocity_rad_s"].tolist() == [-60.0, -120.0, -60.0]
 
 
 def test_runs_are_kept_apart_and_may_overlap_in_time(tmp_path: Path) -> None:

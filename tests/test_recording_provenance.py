@@ -49,3 +49,9 @@ def test_nobodys_home_is_in_the_command() -> None:
 def test_facts_without_clocks_move_no_time() -> None:
     assert utc_offset_ns({}) == 0
     assert utc_offset_ns({"clock_utc_ns": "x", "clock_monotonic_ns": "1"}) == 0
+
+
+def test_a_name_that_is_no_utf_8_is_still_written() -> None:
+    name = b"caf\xe9.mcap".decode(errors="surrogateescape")
+    told = command_text(["servo-bench", "run", name], Path("/home/ann"))
+    assert told.encode() == b"servo-bench run caf?.mcap"

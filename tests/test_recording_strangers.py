@@ -149,6 +149,8 @@ def test_null_and_absent_are_what_did_not_come(tmp_path: Path) -> None:
     assert (recording["device_time_us"] == MISSING).all()
     assert recording["chip"][3] == 3
     assert "statusword" not in recording
+    told = strangers_file(tmp_path / "b.mcap", _with(statusword=None))
+    assert load(told)["statusword"].tolist() == [0] * 10
 
 
 @pytest.mark.parametrize(

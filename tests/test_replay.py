@@ -11,12 +11,14 @@ from typer.testing import CliRunner
 
 from servo_bench.cli import app as cli
 from servo_bench.errors import ConfigError, LimitError, RecordingError, WireError
+from servo_bench.estimators.study import study
 from servo_bench.excitation.experiment import Experiment, experiment_from_table
 from servo_bench.kernels.analysis import analyse
+from servo_bench.kernels.response import response_of
 from servo_bench.recording.mcap_file import load
 from servo_bench.recording.recording import Recording
 from servo_bench.replay.against import against
-from servo_bench.replay.command import experiment_of, held_commands
+from servo_bench.replay.command import held_commands, order_of
 from servo_bench.replay.difference import difference
 from servo_bench.replay.through import reanalyse
 from servo_bench.replay.to_page import Daemon, show
@@ -76,10 +78,42 @@ def test_commands_from_elsewhere_are_played_as_they_came() -> None:
         played["velocity_command_rad_s"][1 : 1 + len(run)], run["velocity_command_rad_s"]
     )
     assert np.array_equal(played["velocity_command_rad_s"][-2:], [0.0, 0.0])
+    found = {signal.name: signal for signal in replayed.difference.signals}
+    assert found["command"].rms == 0.0, "each command beside itself"
+    assert found["load velocity"].rms < 0.1 * found["load velocity"].rms_a
+
+
+@pytest.mark.parametrize("begin", [0.0, 0.5, 1.5, 7.49])
+def test_times_that_begin_between_two_periods_are_periods_all_the_same(begin: float) -> None:
+    run = small_run(1)
+    jitter = np.random.default_rng(4).uniform(-0.3, 0.3, len(run))
+    shifted = replace(
+        _elsewhere(run), channels={**_elsewhere(run).channels, "t_s": _times(begin + jitter)}
+    )
+    np.testing.assert_array_equal(held_commands(shifted), run["velocity_command_rad_s"])
+
+
+def _times(shift_periods: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of a run's rows, shifted by so much of a period; the first without its own jitter."""
+    at = np.arange(shift_periods.size) + shift_periods
+    at[0] = np.median(shift_periods)
+    return np.asarray(0.008 * at)
+
+
+@pytest.mark.parametrize("wild", [np.nan, np.inf, 1.7e9])
+def test_one_wild_time_is_told_and_takes_no_memory(wild: float) -> None:
+    run = _elsewhere(small_run(1))
+    t_s = 0.008 * np.arange(len(run))
+    t_s[100:] += wild
+    strange = replace(run, channels={**run.channels, "t_s": t_s})
+    with pytest.raises(RecordingError, match=r"row 100|at most"):
+        held_commands(strange)
+    with pytest.raises(RecordingError, match=r"row 100|wild"):
+        response_of(strange)
 
 
 def test_an_experiment_from_a_recording_survives_its_table() -> None:
-    plan = experiment_of(_elsewhere(small_run(1)), "rig")
+    plan = order_of(_elsewhere(small_run(1)), "rig").experiment
     again = experiment_from_table(json.loads(plan.model_dump_json()), "test")
     assert again == plan
     assert np.array_equal(again.schedule().velocity_rad_s, plan.schedule().velocity_rad_s)
@@ -98,7 +132,7 @@ def test_an_edited_command_is_not_taken_for_the_experiments() -> None:
     run = small_run(1)
     edited = run["velocity_command_rad_s"] * 0.5
     changed = replace(run, channels={**run.channels, "velocity_command_rad_s": edited})
-    plan = experiment_of(changed, "rig")
+    plan = order_of(changed, "rig").experiment
     assert plan.name == "replay"
     assert plan.schedule().peak_velocity_rad_s == pytest.approx(float(np.abs(edited).max()))
 
@@ -122,7 +156,7 @@ def test_a_command_that_is_no_number_is_refused(bad: float) -> None:
     commands = small_run(1)["velocity_command_rad_s"].copy()
     commands[7] = bad
     with pytest.raises(RecordingError, match="not finite"):
-        experiment_of(_elsewhere(small_run(1), velocity_command_rad_s=commands), "rig")
+        order_of(_elsewhere(small_run(1), velocity_command_rad_s=commands), "rig")
 
 
 def test_runs_that_share_nothing_are_told() -> None:
@@ -136,6 +170,15 @@ def test_figures_of_the_same_code_are_the_same() -> None:
     found = reanalyse(run, json.loads(json.dumps(analyse(run).numbers())))
     assert found.changes == ()
     assert found.reasons == ("Every figure is as it was.",)
+
+
+def test_what_the_commands_write_is_compared_by_the_analysis_own_figures() -> None:
+    run = small_run(1)
+    analysis = analyse(run)
+    written = {**study(run, analysis).numbers(), "lags_s": [0.0], "c1_rad_s": [1.0]}
+    found = reanalyse(run, json.loads(json.dumps(written)))
+    assert found.changes == ()
+    assert found.compared > 20
 
 
 def test_another_memory_explains_everything() -> None:
@@ -227,6 +270,12 @@ def test_the_daemon_is_asked_for_the_run_of_that_name_and_size(
     monkeypatch.setattr(Daemon, "ask", lambda *_: {"runs": []})
     with pytest.raises(RecordingError, match="has no recording"):
         show(Daemon("http://127.0.0.1:8420"), file, 1.0, 0.0)
+
+
+@pytest.mark.parametrize("url", ["http://127.0.0.1:84x0", "http://[::1", "ftp://a", "http://"])
+def test_what_is_no_address_is_refused(url: str) -> None:
+    with pytest.raises(ConfigError, match="no daemon's address"):
+        Daemon(url)
 
 
 def test_nobody_at_the_address_is_told() -> None:

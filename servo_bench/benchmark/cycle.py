@@ -24,6 +24,7 @@ from servo_bench.benchmark.listener import spread_us
 from servo_bench.benchmark.memory import MemoryWatch
 from servo_bench.benchmark.reference import outside, running_reference, stolen_windows
 from servo_bench.clock import NS_PER_S, monotonic_ns
+from servo_bench.errors import ConfigError
 from servo_bench.excitation.experiment import Experiment, MSequence, RandomBinary
 from servo_bench.recording.mcap_file import load
 from servo_bench.recording.recording import Recording
@@ -33,6 +34,7 @@ from sim_rig.process import spawn
 
 AMPLITUDE_RAD_S = 0.5
 SETUP_S = 3.0
+FEWEST_SLOTS = 10
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
@@ -141,6 +143,11 @@ def _seen_on_the_bus(seen: dict[str, list[float]] | None) -> dict[str, Any]:
 
 def _experiment(period_s: float, seconds: float) -> Experiment:
     slots = round(seconds / period_s)
+    if slots < FEWEST_SLOTS:
+        raise ConfigError(
+            f"{seconds:g} s hold {slots} periods of {period_s:g} s: at least {FEWEST_SLOTS} are "
+            "measured. Give more seconds, or a shorter period."
+        )
     return Experiment(
         name="benchmark cycle",
         rig="rigs/paper.toml",

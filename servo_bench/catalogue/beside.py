@@ -57,6 +57,37 @@ def beside(recording: Path) -> Beside:
     )
 
 
+FIGURE = "vaf_same_order3_percent"
+"""A figure that every analysis has: a file x.json without it is somebody else's."""
+
+
+def companions(recording: Path) -> tuple[Path, ...]:
+    """Of the files that can be beside a recording those that are there and are the bench's own:
+    what a measurement was imported from may have its name."""
+    at = beside(recording)
+    own = (at.notes, at.diagnosis, at.diagnosis_page)
+    analysed = (at.figures, at.report) if has_figures(at.figures) else ()
+    return tuple(path for path in (*own, *analysed) if path.exists())
+
+
+def has_figures(path: Path) -> bool:
+    """Whether a file is there and holds the figures of an analysis."""
+    try:
+        return FIGURE in (read_json(path) or {})
+    except RecordingError:
+        return False
+
+
+def make_way_for_figures(recording: Path) -> None:
+    """Raise RecordingError where a file that no analysis wrote has the name of its figures."""
+    path = beside(recording).figures
+    if path.exists() and not has_figures(path):
+        raise RecordingError(
+            f"{path} is there and holds no figures of an analysis, which would take its place. "
+            "Move it away, or give the recording another name."
+        )
+
+
 def read_notes(recording: Path) -> Notes:
     """What people wrote; empty where there is nothing. RecordingError for a file that is no such.
 

@@ -11,7 +11,14 @@ from datetime import UTC, datetime
 from pathlib import Path, PurePath
 from typing import Any
 
-from servo_bench.catalogue.beside import LONGEST_NOTES, Notes, beside, read_json, read_notes
+from servo_bench.catalogue.beside import (
+    FIGURE,
+    LONGEST_NOTES,
+    Notes,
+    beside,
+    read_json,
+    read_notes,
+)
 from servo_bench.catalogue.run import LONGEST_TEXT, Run, State, printable, run_id
 from servo_bench.errors import RecordingError
 from servo_bench.recording.format import (
@@ -162,7 +169,7 @@ def _companions(path: Path) -> dict[str, Any]:
 def _figures(path: Path) -> dict[str, Any]:
     """The scalars of an analysis; nothing where the file is another's."""
     table = _companion(path)
-    if "vaf_same_order3_percent" not in table:
+    if FIGURE not in table:
         return {}
     return {name: value for name, value in table.items() if _is_scalar(value)}
 

@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from servo_bench.catalogue.beside import beside
+from servo_bench.catalogue.beside import companions
 from servo_bench.catalogue.catalogue import Catalogue
 from servo_bench.catalogue.run import Run
 from servo_bench.errors import ConfigError, RecordingError
@@ -52,7 +52,8 @@ def let_go(
 
 
 def delete(catalogue: Catalogue, runs: Iterable[Run]) -> Pruned:
-    """Delete recordings with the files beside them; one that has changed since is kept."""
+    """Delete recordings with the bench's own files beside them; one that has changed since, and
+    what is somebody else's, is kept."""
     deleted, size = 0, 0
     kept: list[str] = []
     for run in runs:
@@ -61,7 +62,7 @@ def delete(catalogue: Catalogue, runs: Iterable[Run]) -> Pruned:
                 kept.append(f"{run.file} has changed since it was listed")
                 continue
             path = catalogue.path(run.id)
-            for file in (path, *beside(path)):
+            for file in (*companions(path), path):
                 file.unlink(missing_ok=file != path)
         except RecordingError as error:
             kept.append(str(error))

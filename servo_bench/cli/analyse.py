@@ -59,7 +59,7 @@ def analyse(
     loaded = load(recording)
     analysis = analyse_recording(loaded, memory=memory, polynomial=polynomial)
     names = [name.strip() for name in estimator.split(",")] if estimator is not None else []
-    found = study(loaded, analysis, names)
+    found = study(loaded, analysis, names, memory)
     if json is not None:
         write_json(json, found.numbers())
     if report is not None:

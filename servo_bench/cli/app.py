@@ -19,7 +19,7 @@ from servo_bench.errors import BenchError, gathered
 COMMANDS = {
     "demo": Entry(
         "servo_bench.cli.demo",
-        "Start the software rig, run a 33 s experiment on its wire, analyse it, write the report.",
+        "Start the software rig, run a 44 s experiment on its wire, analyse it, write the report.",
     ),
     "rig": Entry(
         "servo_bench.cli.rig",

@@ -26,7 +26,7 @@ def demo(
         Path, typer.Option("-o", "--out", help="Folder for recording, report, and figures.")
     ] = Path("servo-bench-demo"),
 ) -> None:
-    """Start the software rig, run a 33 s experiment on its wire, analyse it, write the report."""
+    """Start the software rig, run a 44 s experiment on its wire, analyse it, write the report."""
     console = Console(stderr=True, emoji=False)
     plan = load_experiment(EXPERIMENT)
     new_folder(out)

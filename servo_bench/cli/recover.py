@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from servo_bench.errors import ConfigError
 from servo_bench.recording.recover import recover as recover_file
 
 
@@ -24,6 +25,8 @@ def recover(
 
     The cut file is left as it is.
     """
+    if not file.name:
+        raise ConfigError(f"{file} is a folder: name the recording in it.")
     target = out or file.with_suffix(".recovered.mcap")
     found = recover_file(file, target)
     text = (

@@ -58,7 +58,10 @@ def replay(
         Path | None,
         typer.Option(help="With --through: the figures of then, instead of those beside it."),
     ] = None,
-    json: Annotated[Path | None, typer.Option(help="Write the result to this file.")] = None,
+    json: Annotated[
+        Path | None,
+        typer.Option(help="With --against or --through: write the result to this file."),
+    ] = None,
 ) -> None:
     """Play a recording again: to the page, into a rig, or through today's analysis.
 
@@ -67,6 +70,8 @@ def replay(
     """
     if sum(way is not None for way in (to, against, through)) != 1:
         raise ConfigError("give one of --to URL, --against RIG, --through analyser.")
+    if to is not None and (json or out):
+        raise ConfigError("--to shows a run on the page and writes nothing: no --json, no --out.")
     check_outputs(json, out)
     console = Console(stderr=True, emoji=False)
     if to is not None:

@@ -24,6 +24,8 @@ SHADES = " .:+*#"
 
 app = typer.Typer(no_args_is_help=True, help="Choose an M-sequence, and see what it can tell.")
 Json = Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")]
+MOST_MEMORY = 100
+"""Slices of order 3 are M^3/6."""
 InverseRepeat = Annotated[
     bool, typer.Option("--inverse-repeat", help="Played as u, -u: odd and even orders apart.")
 ]
@@ -50,7 +52,9 @@ def search(
 def show(
     polynomial: Annotated[str, typer.Argument(help="Octal, highest power first, as in 15341.")],
     *,
-    memory: Annotated[int, typer.Option(help="Memory of the kernels in samples.")] = 18,
+    memory: Annotated[
+        int, typer.Option(min=1, max=MOST_MEMORY, help="Memory of the kernels in samples.")
+    ] = 18,
     order: Annotated[int, typer.Option(min=1, max=3, help="Highest order of the kernels.")] = 3,
     inverse_repeat: InverseRepeat = False,
     json: Json = None,
@@ -137,7 +141,8 @@ def _show_search(found: SequenceSearch) -> None:
     console.print(
         f"[bold]Recommended: {found.recommended.polynomial}[/] "
         f"(see it with: servo-bench sequence show {found.recommended.polynomial} "
-        f"--memory {found.memory} --order {found.order})",
+        f"--memory {found.memory} --order {found.order}"
+        f"{' --inverse-repeat' if found.inverse_repeat else ''})",
         highlight=False,
     )
 

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from servo_bench.catalogue.beside import beside, replace, replace_json
+from servo_bench.catalogue.beside import beside, make_way_for_figures, replace, replace_json
 from servo_bench.diagnosis.concluding import conclude
 from servo_bench.errors import BenchError
 from servo_bench.kernels.analysis import Analysis
@@ -32,6 +32,7 @@ NICENESS = 19
 
 def analyse(path: Path) -> str:
     """Write report and figures beside a recording; the main figure in a sentence."""
+    make_way_for_figures(path)
     recording = load(path, allow_cut=True)
     analysis = analyse_recording(recording)
     places = beside(path)

@@ -99,15 +99,21 @@ def default_estimators(analysis: Analysis) -> tuple[str, ...]:
     return (PAPERS_METHOD, GREY_BOX)
 
 
-def study(recording: Recording, analysis: Analysis, names: Sequence[str] = ()) -> Study:
-    """Fit the estimators of these names (default: two) and judge them.
+def study(
+    recording: Recording,
+    analysis: Analysis,
+    names: Sequence[str] = (),
+    memory: int | None = None,
+) -> Study:
+    """Fit the estimators of these names (default: two), with that memory or their own, and judge
+    them.
 
     ConfigError where a name is unknown; an estimator that cannot use this recording is kept with
     its reason.
     """
     chosen = tuple(dict.fromkeys(names)) or default_estimators(analysis)
     model = rig_model(recording)
-    makers = {name: estimator(name, None, model) for name in chosen}  # unknown names end here
+    makers = {name: estimator(name, memory, model) for name in chosen}  # unknown names end here
     training = training_of(recording, analysis)
     data = _Data(recording, analysis, training)
     fits = []

@@ -149,9 +149,9 @@ def _memories(
 
 @numba.njit(cache=True)
 def _memory(words: Words, order: int, odd: bool, stamp: NDArray[np.int32], mark: int) -> int:
-    """Adds lag after lag until a sum of up to `order` words has been seen."""
-    if not odd:
-        stamp[0] = mark
+    """Adds lag after lag until a sum of up to `order` words has been seen, or one is 0: a product
+    of chips that never changes lies on no shift, whatever else does."""
+    stamp[0] = mark
     for memory in range(words.size):
         w = words[memory]
         if stamp[w] == mark:

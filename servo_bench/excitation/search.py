@@ -25,7 +25,8 @@ LISTED = 10
 class Candidate:
     """One polynomial (octal): its collision-free memories, and the alias of orders 5 and 7.
 
-    `memory_inverse_repeat` is that of orders 1 and 3 played as inverse-repeat sequence.
+    `memory_inverse_repeat` is that of order 3 played as inverse-repeat sequence, whose odd and even
+    orders answer apart.
     """
 
     polynomial: str
@@ -74,10 +75,8 @@ def search(
             f"orders 2 and 3, and memories from 1, are supported."
         )
     polynomials = primitive_polynomials(degree)
-    if inverse_repeat and order == 3:
-        memories = collision_free_memories(polynomials, degree, 3, inverse_repeat=True)
-    else:
-        memories = collision_free_memories(polynomials, degree, order)
+    mirrored = inverse_repeat and order == max(ORDERS)
+    memories = collision_free_memories(polynomials, degree, order, inverse_repeat=mirrored)
     reaching = polynomials[memories >= memory]
     if not reaching.size:
         raise ConfigError(

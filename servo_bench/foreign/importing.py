@@ -88,7 +88,8 @@ def _columns(
     height = len(next(iter(columns.values())))
     for one in channels:
         if one.entry.value is not None:
-            columns[one.name] = np.full(height, one.entry.value)
+            constant = np.full(height, one.entry.value)
+            columns[one.name] = _told(table, one.entry, constant, path)
     return columns, absent
 
 
@@ -104,6 +105,11 @@ def _raw(table: Table, entry: ChannelMap, column: Column, path: Path) -> Array:
     values = table.column(column)
     if entry.integer_bits is not None:
         values = _signed(values, entry.integer_bits)
+    return _told(table, entry, values, path)
+
+
+def _told(table: Table, entry: ChannelMap, values: Array, path: Path) -> Array:
+    """Numbers as the map scales them."""
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is found as not finite
         values = entry.sign * (entry.scale * values + entry.offset)
         if entry.times is not None:

@@ -71,8 +71,8 @@ class TextTable:
 
     def _number(self, cell: str, row: int, column: Column) -> float:
         text = cell.strip()
-        if self.decimal != ".":
-            text = text.replace(self.decimal, ".")
+        if self.decimal != ".":  # there a point parts thousands, or is nothing at all
+            text = text.replace(".", "?").replace(self.decimal, ".")
         if not text:
             return np.nan
         try:

@@ -49,7 +49,8 @@ class Played:
         """The longest memory in which every element up to order 3 stays apart."""
         if self.kind == "field":
             return level_memory(self.field, self.polynomial)
-        return collision_free_memory(self.polynomial, 3)
+        mirrored = self.kind == "inverse-repeat"
+        return collision_free_memory(self.polynomial, 3, inverse_repeat=mirrored)
 
     def kernels(self, periods: Array, amplitude: float, memory: int, *, period_s: float) -> Kernels:
         """Kernels to order 3 of whole periods, shape (periods, N). FitError as the extraction's."""

@@ -102,9 +102,10 @@ def distance_from(response: Response) -> Callable[[MeasuredPlay], float]:
     """Of a play's amplitude from the validation's largest command, or from the largest at all."""
     slots = response.slots_of(Phase.VALIDATION)
     played = np.abs(response.command_rad_s[slots])
-    wanted = float(played.max()) if played.size else float("inf")
-    largest = np.finfo(float).max
-    return lambda one: abs(one.found.amplitude_rad_s - min(wanted, largest))
+    if not played.size:
+        return lambda one: -one.found.amplitude_rad_s
+    wanted = float(played.max())
+    return lambda one: abs(one.found.amplitude_rad_s - wanted)
 
 
 def separated_orders(measured: Sequence[MeasuredPlay]) -> SeparatedKernels | None:

@@ -37,6 +37,11 @@ SHORTEST_SLOT = 0.1
 """Increments are divided by no less than this share of the period."""
 
 
+MOST_PERIODS = 1 << 40
+"""No recording is longer; and what is sparser than `SPARSEST` of its slots is none of one run."""
+SPARSEST = 0.5
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Response:
     """What was commanded and answered in every slot from the first to the last; arrays (slots,).
@@ -121,6 +126,13 @@ def _rows(recording: Recording) -> NDArray[np.int64]:
             f"must rise. The file is damaged or was joined from two runs; use one run."
         )
     counted: NDArray[np.int64] = slot - slot[0]
+    if slot.size < SPARSEST * counted[-1]:
+        row = int(np.argmax(np.diff(slot))) + 1
+        raise RecordingError(
+            f"the recording's {slot.size} rows span {counted[-1] + 1} slots: row {row} is slot "
+            f"{slot[row]} after slot {slot[row - 1]}. A slot number or a time is wild, or two runs "
+            "were joined; use one run."
+        )
     return counted
 
 
@@ -130,9 +142,25 @@ def slot_numbers(recording: Recording) -> NDArray[np.int64]:
         slot: NDArray[np.int64] = recording["slot"].astype(np.int64)
         return slot
     if "t_s" in recording:
-        periods: NDArray[np.int64] = np.rint(recording["t_s"] / recording.period_s).astype(np.int64)
-        return periods
+        return _periods(recording["t_s"].astype(np.float64), recording.period_s)
     return np.arange(len(recording), dtype=np.int64)
+
+
+def _periods(t_s: Array, period_s: float) -> NDArray[np.int64]:
+    """Times in periods, counted from the first: wherever between two that lies, rows that jitter
+    stay apart."""
+    if not np.isfinite(t_s).all():
+        row = int(np.flatnonzero(~np.isfinite(t_s))[0])
+        raise RecordingError(f"the time of row {row} is {t_s[row]}. Mend the file, or cut it out.")
+    begin_s = float(t_s[0]) if t_s.size else 0.0
+    passed = np.rint((t_s - begin_s) / period_s)
+    if passed.size and np.abs(passed).max() > MOST_PERIODS:
+        raise RecordingError(
+            f"the recording's times span {np.ptp(t_s):.3g} s, {np.abs(passed).max():.3g} periods "
+            f"of {period_s:g} s: at most {MOST_PERIODS} can be. Look for a row whose time is wild."
+        )
+    counted: NDArray[np.int64] = passed.astype(np.int64) + round(begin_s / period_s)
+    return counted
 
 
 def _check_gaps(known: NDArray[np.bool_]) -> None:
@@ -199,6 +227,8 @@ def _between_asks(recording: Recording, rows: NDArray[np.int64], slots: int) -> 
     """How long each slot lasted by the host's clock; the period where it is not told."""
     lasted = np.full(slots - 1, recording.period_s)
     if "asked_ns" in recording:
-        neighbours = np.diff(rows) == 1
-        lasted[rows[:-1][neighbours]] = np.diff(recording["asked_ns"])[neighbours] * 1e-9
+        asked_ns = recording["asked_ns"]
+        came = asked_ns != MISSING
+        told = (np.diff(rows) == 1) & came[1:] & came[:-1]
+        lasted[rows[:-1][told]] = np.diff(asked_ns)[told] * 1e-9
     return lasted

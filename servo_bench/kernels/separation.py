@@ -24,7 +24,12 @@ from numpy.typing import NDArray
 
 from servo_bench.errors import FitError
 from servo_bench.excitation.msequence import m_sequence
-from servo_bench.kernels.volterra import Kernels, extract
+from servo_bench.kernels.volterra import (
+    Kernels,
+    check_inverse_repeat_memory,
+    extract,
+    extract_orders,
+)
 
 Array = NDArray[np.float64]
 
@@ -131,8 +136,10 @@ def extract_inverse_repeat(
         )
     first, second = periods[:, :chips], periods[:, chips:]
     signs = 1.0 - 2.0 * (np.arange(chips) % 2)
-    odd = extract(signs * (first - second) / 2.0, polynomial, amplitude, memory, period_s=period_s)
-    even = extract((first + second) / 2.0, polynomial, amplitude, memory, period_s=period_s)
+    check_inverse_repeat_memory(polynomial, memory)
+    asked = (polynomial, amplitude, memory)
+    odd = extract_orders(signs * (first - second) / 2.0, *asked, (1, 3), period_s=period_s)
+    even = extract_orders((first + second) / 2.0, *asked, (2,), period_s=period_s)
     lag_sign = 1.0 - 2.0 * (np.arange(memory) % 2)
     errors = (odd.standard_error, even.standard_error)
     known = [error for error in errors if error is not None]

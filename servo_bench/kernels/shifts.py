@@ -75,20 +75,30 @@ def element_shifts(polynomial: str, memory: int, order: int) -> NDArray[np.intp]
     return shifts
 
 
-@cache
-def collision_free_memory(polynomial: str, order: int) -> int:
+def collision_free_memory(polynomial: str, order: int, *, inverse_repeat: bool = False) -> int:
     """The largest memory M in which all elements of up to `order` lags lie on distinct shifts.
 
-    15341: 31 for order 2, 18 for order 3. 40473: 44 and 21. Adds one lag at a time and stamps the
-    words of the elements that it brings. ConfigError where the polynomial is not primitive.
+    15341: 31 for order 2, 18 for order 3. 40473: 44 and 21. Of an inverse-repeat sequence odd and
+    even orders answer apart: the elements of an even number of lags may lie where others do. Adds
+    one lag at a time and stamps the words of the elements that it brings. ConfigError where the
+    polynomial is not primitive.
     """
+    if inverse_repeat:
+        return min(_apart(polynomial, (1, 3)[: (order + 1) // 2]), _apart(polynomial, (2,)))
+    return _apart(polynomial, ORDERS[:order])
+
+
+@cache
+def _apart(polynomial: str, orders: tuple[int, ...]) -> int:
+    """The largest memory in which all elements of these orders lie on distinct shifts."""
+    order = max(orders)
     words = registers(polynomial)
     taken = np.zeros(words.size + 1, np.bool_)
     taken[0] = True
     sums = [np.zeros(1, np.int32), *(np.zeros(0, np.int32) for _ in range(order))]
     for memory in range(words.size):
         brought = [earlier ^ words[-memory] for earlier in sums[:-1]]
-        fresh = np.concatenate(brought)
+        fresh = np.concatenate([brought[m - 1] for m in orders])
         if taken[fresh].any():
             return memory
         taken[fresh] = True

@@ -43,7 +43,9 @@ def described(
     labels = element_labels(polynomial, memory, order, inverse_repeat=inverse_repeat)
     aliased = labels.count(Label.ALIASED)
     elements = sum(lag_sets(memory, m).shape[0] for m in range(1, order + 1))
-    limits = {m: collision_free_memory(polynomial, m) for m in (2, 3)}
+    limits = {
+        m: collision_free_memory(polynomial, m, inverse_repeat=inverse_repeat) for m in (2, 3)
+    }
     said = [
         f"{polynomial} (octal) has a period of {chips} chips; its slices stay apart up to a memory "
         f"of {limits[2]} for order 2 and {limits[3]} for order 3.",

@@ -156,8 +156,30 @@ def extract(
     beyond the collision-free one or the response is not finite or not whole periods.
     """
     _check_memory(polynomial, memory, order)
+    return extract_orders(
+        *(response_periods, polynomial, amplitude, memory), ORDERS[:order], period_s=period_s
+    )
+
+
+def check_inverse_repeat_memory(polynomial: str, memory: int) -> None:
+    """FitError as `extract`, where odd and even orders answer apart."""
+    _check_memory(polynomial, memory, max(ORDERS), inverse_repeat=True)
+
+
+def extract_orders(
+    response_periods: Array,
+    polynomial: str,
+    amplitude: float,
+    memory: int,
+    orders: tuple[int, ...],
+    *,
+    period_s: float,
+) -> Kernels:
+    """As `extract`, for a response in which these orders are alone, within a memory that was
+    checked; the others are zero."""
     correlation = averaged_correlation(response_periods, polynomial)
-    elements = {m: element_shifts(polynomial, memory, m) for m in range(1, order + 1)}
+    order = max(orders)
+    elements = {m: element_shifts(polynomial, memory, m) for m in orders}
     empty = np.ones(correlation.phi.size, np.bool_)
     for shifts in elements.values():
         empty[shifts] = False
@@ -170,7 +192,8 @@ def extract(
     baseline = float(np.median(correlation.phi[empty]))
     whole = correlation.phi.size / (correlation.phi.size + 1.0)
     c = (correlation.phi - baseline) * whole
-    refuse_integrator(c, empty, float(np.abs(c[elements[1]]).max()))
+    if 1 in elements:
+        refuse_integrator(c, empty, float(np.abs(c[elements[1]]).max()))
     coefficients = [np.zeros((memory,) * m) for m in ORDERS]
     for m, shifts in elements.items():
         coefficients[m - 1][tuple(lag_sets(memory, m).T)] = c[shifts]
@@ -201,12 +224,14 @@ def _kurtosis(values: Array) -> float:
     return float(np.mean(values**4)) / square**2 if square > 0.0 else 3.0
 
 
-def _check_memory(polynomial: str, memory: int, order: int) -> None:
+def _check_memory(
+    polynomial: str, memory: int, order: int, *, inverse_repeat: bool = False
+) -> None:
     if order not in ORDERS:
         raise FitError(f"kernels of order {order} were asked for: orders {ORDERS} are measured.")
     if memory < 1:
         raise FitError(f"the kernels' memory is {memory} samples: give at least 1.")
-    limit = collision_free_memory(polynomial, order)
+    limit = collision_free_memory(polynomial, order, inverse_repeat=inverse_repeat)
     if memory > limit:
         raise FitError(
             f"memory {memory} is beyond what {polynomial} can resolve up to order {order}: from "

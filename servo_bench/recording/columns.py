@@ -20,6 +20,9 @@ from servo_bench.recording.recording import MISSING, SAMPLE_DTYPE
 
 Rows = NDArray[np.void]
 
+NULL_IS_ZERO = frozenset({"statusword"})
+"""A value that did not come, where the field has no other word for that."""
+
 
 @dataclass(frozen=True, slots=True)
 class Decoder:
@@ -130,7 +133,7 @@ def _fitted(name: str, values: NDArray[Any]) -> NDArray[Any]:
             return values.astype(kind)
     gone = np.zeros(values.shape, bool)
     if values.dtype.kind == "f":
-        gone = np.isnan(values) if kind.kind == "i" else gone
+        gone = np.isnan(values) if kind.kind == "i" or name in NULL_IS_ZERO else gone
         values = np.where(gone, 0, values)
         whole = values == np.trunc(values)
         # 2^63 and 2^32 are floats, the largest int64 is not: compare with what is exact
@@ -147,7 +150,7 @@ def _fitted(name: str, values: NDArray[Any]) -> NDArray[Any]:
             f"{kind}"
         )
     fitted = values.astype(kind)
-    if gone.any():
+    if gone.any() and kind.kind == "i":
         fitted[gone] = MISSING
     return fitted
 

@@ -38,5 +38,5 @@ MAX_UNPACKED_BYTES = 4096 * MIB
 """Of all chunks together; they are unpacked one at a time."""
 MAX_KEPT_BYTES = 1024 * MIB
 """Of the samples and events that a recording is made of."""
-MAX_JSON_BYTES = MIB
+MAX_JSON_BYTES = 16 * MIB
 """Of one JSON message: parsed, it takes some twenty times as much."""

@@ -54,8 +54,10 @@ def save_measured(recording: Recording, path: str | Path) -> None:
     try:
         _write(recording, Writer(cast("IO[bytes]", sink)))
         sink.sync()
-    except OSError as error:
+    except BaseException as error:
         target.unlink()
+        if not isinstance(error, OSError):
+            raise
         raise RecordingError(
             f"{target} cannot be written: {error.strerror}. Make room, or give another folder."
         ) from error

@@ -69,7 +69,8 @@ def command_text(command: Sequence[str], home: Path) -> str:
     if not command:
         return ""
     words = [Path(command[0]).name, *command[1:]]
-    return " ".join(word.replace(str(home), "~") for word in words)
+    text = " ".join(word.replace(str(home), "~") for word in words)
+    return text.encode(errors="replace").decode()  # a file's name need be no UTF-8
 
 
 def utc_offset_ns(facts: Mapping[str, str]) -> int:

@@ -29,6 +29,8 @@ from servo_bench.recording.format import (
     FAST_TOPIC,
     FORMAT_METADATA,
     FORMAT_VERSION,
+    MAX_JSON_BYTES,
+    MIB,
     PROVENANCE_METADATA,
     RIG_METADATA,
     SAMPLES_TOPIC,
@@ -156,6 +158,13 @@ class RecordingWriter:
             for key, value in (("experiment", experiment), ("rig", rig))
             if value is not None
         }
+        text = json_bytes(config)
+        if len(text) > MAX_JSON_BYTES:
+            raise RecordingError(
+                f"the experiment and the rig take {len(text) / MIB:.1f} MiB as JSON, and a "
+                f"recording holds {MAX_JSON_BYTES // MIB}: nobody could read it again. Play fewer "
+                "commands; split a recording that is to be replayed."
+            )
         writer = self._writer
         writer.start(profile="", library=f"servo-bench {__version__}")
         facts = {"version": str(FORMAT_VERSION), "period_s": repr(period_s)}
@@ -174,7 +183,7 @@ class RecordingWriter:
         self._events = self._json_channel(EVENTS_TOPIC, "servo_bench.Event", EVENT_SCHEMA)
         configs = self._json_channel(CONFIG_TOPIC, "servo_bench.Config", CONFIG_SCHEMA)
         begin_ns = self._utc_ns(int(provenance.get("clock_monotonic_ns", 0)))
-        writer.add_message(configs, begin_ns, json_bytes(config), begin_ns)
+        writer.add_message(configs, begin_ns, text, begin_ns)
         self._close_chunk()
 
     def _json_channel(self, topic: str, name: str, schema: Mapping[str, Any]) -> int:

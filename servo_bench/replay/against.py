@@ -11,7 +11,7 @@ from typing import Any
 from servo_bench.errors import ConfigError
 from servo_bench.excitation.experiment import Experiment
 from servo_bench.recording.recording import Recording
-from servo_bench.replay.command import experiment_of
+from servo_bench.replay.command import order_of
 from servo_bench.replay.difference import RunDifference, difference
 from servo_bench.rig import RigConfig
 from servo_bench.run.virtual import run_virtually
@@ -38,7 +38,7 @@ def against(recording: Recording, rig: RigConfig, play: Play = run_virtually) ->
     Raises RecordingError where there is no command, LimitError where the rig's limits do not allow
     it (before anything is enabled), and what `play` raises.
     """
-    experiment = experiment_of(recording, rig.name)
+    experiment, again, first_slot = order_of(recording, rig.name)
     if abs(experiment.period_s / recording.period_s - 1.0) > 1e-9:
         raise ConfigError(
             f"the recording's period is {recording.period_s} s and its experiment's "
@@ -47,6 +47,6 @@ def against(recording: Recording, rig: RigConfig, play: Play = run_virtually) ->
     played = play(experiment, rig)
     return Replayed(
         recording=played,
-        difference=difference(recording, played),
-        again=experiment.name != "replay",
+        difference=difference(recording, played, first_slot=first_slot),
+        again=again,
     )

@@ -2,8 +2,10 @@
 
 Where the recording brings its experiment, and that says the very commands that were recorded, it
 is played again. Otherwise (a file from elsewhere, or edited) the commands themselves are: held over
-each period, and followed by one at rest, so that the rig begins and ends still.
+each period, after one at rest and followed by one, so that the rig begins and ends still.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +19,22 @@ from servo_bench.recording.recording import Recording
 Array = NDArray[np.float64]
 
 
-def experiment_of(recording: Recording, rig_name: str) -> Experiment:
+class Order(NamedTuple):
+    """What is played, whether that is the recording's own experiment, and which of its slots has
+    the recording's first command."""
+
+    experiment: Experiment
+    again: bool
+    first_slot: int
+
+
+def order_of(recording: Recording, rig_name: str) -> Order:
     """What to play. RecordingError where there is no command, or one that is not finite."""
     if recording.experiment is not None and _says_what_was_played(recording, recording.experiment):
-        return recording.experiment.model_copy(update={"rig": rig_name})
+        again = recording.experiment.model_copy(update={"rig": rig_name})
+        return Order(again, again=True, first_slot=int(recording["slot"][0]))
     commands = held_commands(recording)
-    return Experiment(
+    experiment = Experiment(
         name="replay",
         rig=rig_name,
         period_s=recording.period_s,
@@ -32,6 +44,7 @@ def experiment_of(recording: Recording, rig_name: str) -> Experiment:
         identification=FromRecording(commands_rad_s=(*commands.tolist(), 0.0)),
         validation=FromRecording(commands_rad_s=(0.0,)),
     )
+    return Order(experiment, again=False, first_slot=experiment.lead_in)
 
 
 def held_commands(recording: Recording) -> Array:

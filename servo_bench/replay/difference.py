@@ -97,9 +97,13 @@ class RunDifference:
         }
 
 
-def difference(a: Recording, b: Recording) -> RunDifference:
-    """b less a. RecordingError where they share fewer than two slots, or no signal."""
-    slots, rows_a, rows_b = np.intersect1d(_slots(a), _slots(b), return_indices=True)
+def difference(a: Recording, b: Recording, *, first_slot: int | None = None) -> RunDifference:
+    """b less a, slot by slot from the first of each, or from slot `first_slot` of b.
+
+    RecordingError where they share fewer than two slots, or no signal.
+    """
+    of_b = _slots(b) if first_slot is None else slot_numbers(b) - first_slot
+    slots, rows_a, rows_b = np.intersect1d(_slots(a), of_b, return_indices=True)
     if slots.size < 2:
         raise RecordingError(f"the two runs share {slots.size} slots: there is nothing to compare.")
     signals = tuple(_signals(a, b, slots, rows_a, rows_b))

@@ -19,6 +19,10 @@ ROUNDING = 1e-6
 """Relative: what another processor or library may round otherwise."""
 OPTIONS = ("memory", "polynomial")
 VERSION_KEY = "servo_bench"
+OTHERS = frozenset(
+    {"estimators", "against_grey_box", "grey_box", "lags_s", "c1_rad_s", "c2_rad_s", VERSION_KEY}
+)
+"""What stands beside the analysis' own figures: other estimators', the curves, the version."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +78,8 @@ def reanalyse(recording: Recording, then: Mapping[str, Any]) -> Reanalysis:
 def _changes(
     then: Mapping[str, Any], now: Mapping[str, Any]
 ) -> tuple[tuple[FigureChange, ...], int]:
-    names = [name for name in dict.fromkeys((*then, *now)) if name != VERSION_KEY]
+    every = dict.fromkeys((*then, *now))
+    names = [name for name in every if name.partition(".")[0] not in OTHERS]
     changed = [
         FigureChange(name, then.get(name), now.get(name))
         for name in names

@@ -1,5 +1,6 @@
 """A recording shown on a daemon's page: one request to the daemon that has it in its catalogue."""
 
+import http.client
 import json
 import ssl
 import urllib.error
@@ -25,8 +26,12 @@ class Daemon:
 
     def __post_init__(self) -> None:
         """ConfigError for what is no address of a daemon."""
-        parts = urlsplit(self.url)
-        if parts.scheme not in ("http", "https") or not parts.netloc:
+        try:
+            parts = urlsplit(self.url)
+            there = parts.scheme in ("http", "https") and bool(parts.netloc) and parts.port != 0
+        except ValueError:  # half an IPv6 address, or a port that is no number
+            there = False
+        if not there:
             raise ConfigError(
                 f"{self.url!r} is no daemon's address: give http://127.0.0.1:8420, or the page of "
                 "servo-bench daemon as the browser shows it."
@@ -52,7 +57,7 @@ class Daemon:
                 return json.loads(text) if text else None
         except urllib.error.HTTPError as error:
             raise RecordingError(f"the daemon refuses ({error.code}): {_detail(error)}") from error
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, http.client.HTTPException) as error:
             raise WireError(
                 f"no daemon answers at {self.url}: {error}. Start it (servo-bench daemon), or "
                 "correct the address."

@@ -25,7 +25,7 @@ from servo_bench import errors
 from servo_bench.clock import NS_PER_S, monotonic_ns
 from servo_bench.errors import BenchError, ConfigError, WireError
 from servo_bench.excitation.experiment import Experiment, Phase, Schedule
-from servo_bench.excitation.sequences import FieldSequence, FromRecording
+from servo_bench.excitation.sequences import FieldSequence, FromRecording, InverseRepeat
 from servo_bench.kernels.shifts import collision_free_memory
 from servo_bench.recording.alignment import Delay, alignment
 from servo_bench.recording.mcap_file import RecordingWriter
@@ -136,7 +136,8 @@ def check_memory(experiment: Experiment) -> None:
     if isinstance(experiment.identification, FieldSequence | FromRecording):
         return  # three or five levels, or anything: the rule is one of binary sequences
     polynomial = experiment.identification.polynomial
-    limit = collision_free_memory(polynomial, KERNEL_ORDER)
+    mirrored = isinstance(experiment.identification, InverseRepeat)
+    limit = collision_free_memory(polynomial, KERNEL_ORDER, inverse_repeat=mirrored)
     if experiment.memory > limit:
         raise ConfigError(
             f"memory = {experiment.memory} samples, but the cross-sections of {polynomial} collide "

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from servo_bench.diagnosis.concluding import conclude
@@ -89,3 +90,25 @@ def test_what_is_worth_a_name_is_beside_what_a_file_has() -> None:
     assert beyond_belief(MODEL, "cogging", scales) == pytest.approx(2e-3)
     assert as_believed(turned, "cogging", scales) == has
     assert as_believed(MODEL.with_effect("coulomb", **RUBS), "coulomb", scales) == MODEL
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("is_there", [True, False], ids=["twice as large", "not there"])
+@pytest.mark.parametrize(
+    ("effect", "strength", "size"),
+    [("cogging", "torque_nm", 6e-3), ("encoder_eccentricity", "amplitude_rad", 2e-3)],
+)
+def test_a_wave_of_a_rigs_file_that_is_not_so_is_a_cause(
+    effect: str, strength: str, size: float, is_there: bool
+) -> None:
+    order = {"order": 6.0} if effect == "cogging" else {}
+    believed = MODEL.with_effect(effect, **{strength: size}, **order)
+    hidden = MODEL.with_effect(effect, **{strength: 2.0 * size}, **order) if is_there else MODEL
+    played = commands(3, 900) + np.where(np.arange(960) < 60, 0.0, 1.0)
+    verdict = verdict_of(
+        find_causes([recorded(hidden, 3, played=played)], believed, only=(effect,))
+    )
+    (cause,) = verdict.causes
+    assert cause.effect == effect
+    found = cause.parameters[strength].value
+    assert found == pytest.approx(2.0 * size if is_there else 0.0, abs=0.05 * size)

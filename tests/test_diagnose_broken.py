@@ -113,6 +113,26 @@ def test_a_spoilt_word_and_another_size_are_no_jumps() -> None:
     assert told(with_channels(run, motor_position_rad=np.degrees(run[MOTOR]))) == []
 
 
+@pytest.mark.parametrize("speed_rad_s", [6.0, 150.0, 400.0])
+def test_a_fast_start_out_of_a_rest_is_no_stand(speed_rad_s: float) -> None:
+    """A row's angle is taken before its own command acts."""
+    run = recorded(MODEL, 3)
+    command = speed_rad_s * np.sign(run[COMMAND])
+    angle = PERIOD_S * (np.cumsum(command) - command)
+    channels = {COMMAND: command, LOAD: angle, MOTOR: angle}
+    assert told(with_channels(run, **channels)) == []
+    assert told(alone(with_channels(run, **channels))) == []
+
+
+def test_slots_that_were_skipped_are_no_jump() -> None:
+    """The command before them was held, and the angle went on."""
+    run = recorded(MODEL, 3, played=np.where(np.arange(700) < 100, 0.0, 6.0))
+    kept = np.delete(np.arange(700), np.arange(400, 412))
+    less = replace(run, channels={name: run[name][kept] for name in run.channels})
+    assert told(alone(less)) == []
+    assert told(less) == []
+
+
 def test_who_rests_when_told_to_does_not_stand() -> None:
     played = np.concatenate([np.zeros(STANDSTILL), np.full(150, 3.0), np.zeros(400)])
     assert told(recorded(MODEL, 3, played=played)) == []

@@ -5,14 +5,16 @@ import math
 import numpy as np
 import pytest
 
+from servo_bench.diagnosis.comparing.allowance import allowed
 from servo_bench.diagnosis.comparing.comparison import Comparison, compare
 from servo_bench.diagnosis.comparing.evidence import SCALES, block_z
-from servo_bench.diagnosis.reading.hygiene import lattice, wild_samples
+from servo_bench.diagnosis.reading.hygiene import lattice, wild_samples, without_spoilt_words
 from servo_bench.diagnosis.reading.orders import motor_lines, torque_waves
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, nominal_with, recorded, with_channels
 
 MODEL = Model(NOMINAL)
+GAP_RAD = NOMINAL.backlash_gap_rad
 SLOTS = 900
 
 
@@ -40,6 +42,29 @@ def test_words_that_interference_spoils_are_counted(
         angle[first + k] += wrong_rad
     seen = compare(with_channels(run, load_angle_rad=angle), MODEL, scales=SCALES)
     assert wild_samples(seen, MODEL, MODEL.nominal.backlash_gap_rad) == counted
+
+
+@pytest.mark.parametrize("channel", ["load_angle_rad", "motor_position_rad"])
+def test_a_word_that_no_motion_can_be_did_not_come(channel: str) -> None:
+    run = recorded(MODEL.with_effect("gravity_imbalance", torque_nm=0.03), 19, slots=SLOTS)
+    angle = np.array(run[channel])
+    np.testing.assert_array_equal(without_spoilt_words(run, GAP_RAD)[channel], angle)
+    spoilt = angle.copy()
+    spoilt[300] += 2.0 * math.pi
+    spoilt[500:503] -= 40.0
+    spoilt[700:] += 1.0  # it stays: counts were lost, and that is another matter
+    kept = without_spoilt_words(with_channels(run, **{channel: spoilt}), GAP_RAD)[channel]
+    assert np.flatnonzero(np.isnan(kept)).tolist() == [300, 500, 501, 502]
+    assert np.nanmax(np.abs(kept[:700] - angle[:700])) == 0.0
+
+
+def test_one_spoilt_word_moves_no_allowance() -> None:
+    run = recorded(MODEL, 20, slots=SLOTS)
+    spoilt = np.array(run["load_angle_rad"])
+    spoilt[400] += 2.0 * math.pi
+    wrong = without_spoilt_words(with_channels(run, load_angle_rad=spoilt), GAP_RAD)
+    right, mended = (allowed(compare(one, MODEL, scales=SCALES)) for one in (run, wrong))
+    np.testing.assert_allclose(mended, right, rtol=0.02)
 
 
 def test_a_coarse_angle_is_measured_by_its_lattice() -> None:

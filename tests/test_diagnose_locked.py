@@ -5,11 +5,14 @@ it, so that the play is crossed over a range of torques, as in a gear of printed
 there to find is how far the twist stays apart where the torque is zero, from either side.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from servo_bench.diagnosis.concluding import conclude
+from servo_bench.diagnosis.elsewhere.locked import judge_locked
 from servo_bench.recording.plant import ForeignPlant
 from servo_bench.recording.recording import Recording
 from servo_bench.report.diagnosis_page import diagnosis_report
@@ -60,6 +63,34 @@ def test_play_is_how_far_a_gear_stays_apart_without_torque(
     (cause,) = verdict.causes
     assert cause.effect == "backlash_width"
     assert cause.parameters["change_rad"].value == pytest.approx(0.03, rel=0.15)
+
+
+def test_one_run_is_judged_by_its_end() -> None:
+    """What its first part was fitted to is no evidence: there the gear was another."""
+    torque, run = ramps(3)
+    slack = np.where(np.arange(torque.size) < 0.7 * torque.size, 0.03, 0.0)
+    twist = 2e-3 * torque + 0.5 * slack * np.sign(torque)
+    noise = 1e-5 * np.random.default_rng(7).normal(size=run.size)
+    found = judge_locked(locked(torque, twist + noise, np.zeros(run.size)))
+    assert found.held["play"] > 10.0 * found.play.rms_rad
+
+
+@pytest.mark.parametrize(("per_ampere", "unit"), [(0.05, "nm"), (None, "a")])
+def test_a_current_is_a_torque_where_its_motor_is_described(
+    per_ampere: float | None, unit: str
+) -> None:
+    rng = np.random.default_rng(5)
+    torque, run = ramps(5)
+    twist = flanks(torque, np.linspace(0.5, 1.0, 60), rng.dirichlet(np.full(60, 3.0)) * 0.03, 1e-3)
+    told = locked(torque, twist + 1e-5 * rng.normal(size=run.size), run)
+    current = {"current_a": torque / 0.05, **told.channels}
+    del current["motor_torque_nm"]
+    plant = ForeignPlant(name="gear", output_locked=True, torque_constant_nm_per_a=per_ampere)
+    verdict = conclude([replace(told, channels=current, plant=plant)]).verdict
+    (effect,) = (cause.effect for cause in verdict.causes)
+    assert effect == "backlash_width"
+    compliance = verdict.nuisances[f"compliance_rad_per_{unit}"]
+    assert compliance == pytest.approx(1e-3 if per_ampere else 1e-3 * 0.05, rel=0.3)
 
 
 def test_a_spring_has_no_play() -> None:

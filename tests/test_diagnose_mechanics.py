@@ -4,10 +4,14 @@ A current drives a rotor over its magnets; a speed loop keeps it turning. Angle 
 logged at 1 kHz, and the angle has noise.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from servo_bench.diagnosis.concluding import conclude
+from servo_bench.diagnosis.elsewhere.weak import weak_rows
+from servo_bench.diagnosis.fitting.foreign_channels import Motion, stretches
 from servo_bench.diagnosis.judging.verdict import Verdict
 from servo_bench.recording.plant import ForeignPlant
 from servo_bench.recording.recording import Recording
@@ -50,6 +54,45 @@ def turned(lines: dict[int, float], friction_a: float, seed: int, ripple: float 
     return conclude(
         [Recording(channels, 1e-3, None, None, {}, plant=ForeignPlant(name="rotor"))]
     ).verdict
+
+
+def told_at(period_s: float, seed: int) -> Recording:
+    """A rotor of 100 rad/s2 a ampere under steps of current, without friction; exact but noise."""
+    rng = np.random.default_rng(seed)
+    slots, held = round(12.0 / period_s), round(0.1 / period_s)
+    current = np.repeat(rng.choice([-1.0, -0.5, 0.5, 1.0], slots // held + 1), held)[:slots]
+    speed = 100.0 * period_s * (np.cumsum(current) - current)
+    angle = period_s * (np.cumsum(speed) - speed) + 50.0 * period_s**2 * np.cumsum(current)
+    channels = {
+        "t_s": period_s * np.arange(slots),
+        "current_a": current,
+        "motor_position_rad": angle + 1e-6 * rng.normal(size=slots),
+        "motor_velocity_rad_s": speed + 1e-4 * rng.normal(size=slots),
+    }
+    return Recording(channels, period_s, None, None, {}, plant=ForeignPlant(name="rotor"))
+
+
+@pytest.mark.parametrize("motion", ["motor_velocity_rad_s", "motor_position_rad"])
+@pytest.mark.parametrize("periods_s", [(1e-3, 2e-3), (2e-3, 1e-3)])
+def test_recordings_of_two_rates_tell_one_acceleration(
+    periods_s: tuple[float, float], motion: Motion
+) -> None:
+    every = [told_at(period_s, 3 + k) for k, period_s in enumerate(periods_s)]
+    parts = [s for k, one in enumerate(every) for s in stretches(one, k, motion, "current_a")]
+    rows = weak_rows(parts, motion)
+    current = rows.column(lambda stretch: stretch.effort)
+    for record in (0, 1):
+        of_it = rows.record == record
+        per_ampere = rows.left[of_it] @ current[of_it] / (current[of_it] @ current[of_it])
+        assert per_ampere == pytest.approx(100.0, rel=0.05)
+
+
+def test_an_effort_that_never_changes_is_told() -> None:
+    one = told_at(1e-3, 3)
+    dead = replace(one, channels={**one.channels, "current_a": np.zeros(len(one))})
+    verdict = conclude([dead]).verdict
+    assert verdict.verdict == "unknown"
+    assert "never change" in verdict.sentence
 
 
 @pytest.mark.long

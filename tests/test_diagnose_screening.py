@@ -11,7 +11,7 @@ from servo_bench.diagnosis.searching.gate import RIGHT
 from servo_bench.diagnosis.searching.hypotheses import Hypothesis, Trial, hypotheses
 from servo_bench.diagnosis.searching.rounds import play_round
 from servo_bench.diagnosis.searching.scales import Scales, band_of, scales_of
-from servo_bench.diagnosis.searching.screening import Screened, screen, towards
+from servo_bench.diagnosis.searching.screening import Screened, at_phase, screen, towards
 from servo_bench.diagnosis.searching.seeking import Found, seek
 from servo_bench.diagnosis.searching.sizes import material_sizes
 from sim_rig.model import Model
@@ -65,9 +65,25 @@ def test_a_trial_is_as_strong_as_what_is_there_and_what_is_added_and_never_less_
     now_nm: float, amount: float, torque_nm: float
 ) -> None:
     model = MODEL.with_effect("coulomb", torque_nm=now_nm)
-    trial = towards(Trial("coulomb", {"torque_nm": 0.02}, 0.02), model, amount)
+    trial = towards(Trial("coulomb", {"torque_nm": 0.02}, 0.02), model, np.array([amount]))
     assert trial.size == pytest.approx(torque_nm)
     assert trial.on(model).effects["coulomb"].torque_nm == pytest.approx(torque_nm)
+
+
+@pytest.mark.parametrize("effect", ["cogging", "misalignment"])
+def test_a_wave_is_where_two_ways_from_the_believed_one_lead(effect: str) -> None:
+    """From B so much of the way to each of two trials a quarter apart, as its error counts them:
+    a misalignment's by its square, at twice its phase."""
+    power = 2 if effect == "misalignment" else 1
+    strength = "angle_rad" if effect == "misalignment" else "torque_nm"
+    model = MODEL.with_effect(effect, **{strength: 0.006, "phase_rad": 0.5})
+    trial = Trial(effect, {strength: 0.02, "phase_rad": 0.0}, 0.02)
+    believed, one = 0.006**power * np.exp(1j * power * 0.5), 0.02**power
+    amounts = np.array([0.7, -0.2])
+    wanted = believed + amounts[0] * (one - believed) + amounts[1] * (1j * one - believed)
+    found = at_phase(trial, model, amounts).settings
+    made = found[strength] ** power * np.exp(1j * power * found["phase_rad"])
+    assert made == pytest.approx(wanted)
 
 
 @pytest.mark.parametrize(

@@ -87,6 +87,12 @@ def test_angles_that_are_exchanged_are_told(rig: Model) -> None:
     assert "exchange the two channels" in sentence
 
 
+@pytest.mark.parametrize("weight_nm", [0.02, 0.043])
+def test_a_load_that_hangs_in_its_gap_is_not_exchanged(weight_nm: float) -> None:
+    heavy = MODEL.with_effect("gravity_imbalance", torque_nm=weight_nm, phase_rad=1.0)
+    assert not any("exchange" in sentence for sentence in told(logged(42, heavy)))
+
+
 @pytest.mark.parametrize(
     ("channel", "role", "rows"),
     [

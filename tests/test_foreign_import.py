@@ -118,6 +118,11 @@ def test_one_quantity_in_every_unit_is_one_value(tmp_path: Path, role: str) -> N
         assert channel.dtype == (np.int64 if ROLES[role].suffix == "" else np.float64)
 
 
+def test_a_mat_file_may_call_a_variable_what_it_likes(tmp_path: Path) -> None:
+    made = _mat(tmp_path, t=[0.0, 1.0, 2.0], i=[1.0, 2.0, 3.0], file=[4.0], args={"i": 5.0})
+    assert imported(tmp_path, made, PLAIN, "o.mat")["current_a"].tolist() == [1.0, 2.0, 3.0]
+
+
 def test_times_in_every_unit_are_the_same_times(tmp_path: Path) -> None:
     for unit, two_seconds in ALIKE["time"].items():
         plan = TIME.replace('"s"', f'"{unit}"') + CURRENT

@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 
 MEMORY_BYTES = 4 * 2**30
 TIMEOUT_S = 120.0
+ROOT = "v."
+"""Before every name on its way between the processes: one may be called `file`."""
 
 
 class MatError(Exception):
@@ -45,7 +47,7 @@ def arrays_of(data: bytes) -> dict[str, Any]:
     root: dict[str, Any] = {}
     with np.load(io.BytesIO(done.stdout), allow_pickle=False) as archive:
         for name in archive.files:
-            *folders, leaf = name.split(".")
+            *folders, leaf = name.removeprefix(ROOT).split(".")
             node = root
             for folder in folders:
                 node = node.setdefault(folder, {})
@@ -69,7 +71,7 @@ def _child() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     # it takes an open file too, which its stubs do not say
     data = cast("Any", io.BytesIO(sys.stdin.buffer.read()))
-    found = dict(_flat(scipy.io.loadmat(data, simplify_cells=True)))
+    found = dict(_flat(scipy.io.loadmat(data, simplify_cells=True), ROOT))
     packed = io.BytesIO()
     np.savez(packed, **cast("dict[str, Any]", found))
     sys.stdout.buffer.write(packed.getvalue())

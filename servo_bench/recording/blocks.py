@@ -42,7 +42,7 @@ def blocks_of(recording: Recording) -> tuple[Block, ...]:
         Block("controller", moved + motions if moved and motions else (), efforts),
         Block("mechanics", () if locked else efforts, motions),
         Block("transmission", efforts if locked else motions, motions if locked else loads),
-        Block("loop", commands, loads or motions),
+        Block("loop", commands, loads + motions),
     )
     return tuple(block for block in candidates if block.inputs and block.outputs)
 

@@ -187,7 +187,7 @@ def _draw_orders(axes: Axes, track: Track, moving: Mask) -> None:
     axes.plot(ORDERS, 100.0 * shares, color=ORDER_3, label="as it is")
     axes.plot(ORDERS, 100.0 * turned, color=ORDER_1, linestyle=":", label="times the direction")
     axes.set_ylim(0.0, max(5.0, axes.get_ylim()[1]))
-    turns = float(np.ptp(angle)) / (2.0 * np.pi)
+    turns = float(np.ptp(angle)) / (2.0 * np.pi) if angle.size else 0.0
     title = (
         f"by position, {turns:.1f} turns" if turns >= LEAST_PERIODS else "by position: no full turn"
     )

@@ -97,6 +97,11 @@ class Comparison:
     group: NDArray[np.int64]
 
     @property
+    def longest(self) -> Piece:
+        """The piece with most rows: a short one may hold a rest, or an end."""
+        return max((points.piece for points in self.pieces), key=lambda p: p.last - p.first)
+
+    @property
     def is_of_the_load_alone(self) -> bool:
         """Whether nothing but the load's encoder tells of the motor."""
         return all(signal.name.startswith("load") for signal in self.signals)

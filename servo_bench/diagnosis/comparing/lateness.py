@@ -22,7 +22,7 @@ WALKS = ("motor_position_rad", "load_angle_rad")
 
 
 def lateness_rms(comparison: Comparison, seed: int = 0) -> Array:
-    """Root mean square in every signal, in its unit, shape (signals,); zeros where none is seen."""
+    """Root mean square in every signal, in its unit, shape (signals,); zero where none is seen."""
     signals, rows = comparison.signals, comparison.source.rows
     late_s = lateness_s(comparison)
     if not late_s:
@@ -39,7 +39,8 @@ def lateness_rms(comparison: Comparison, seed: int = 0) -> Array:
     for k, signal in enumerate(signals):
         if signal.level and np.isfinite(errors[k]).any():
             errors[k] -= np.nanmedian(errors[k])
-    return np.asarray(np.sqrt(np.nanmean(errors**2, axis=1)))
+    known = np.maximum(np.isfinite(errors).sum(axis=1), 1)
+    return np.asarray(np.sqrt(np.nansum(errors**2, axis=1) / known))
 
 
 def lateness_s(comparison: Comparison) -> float:

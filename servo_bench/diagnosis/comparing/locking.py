@@ -64,10 +64,12 @@ def line_shares(angle: Array, error: Array, weight: Array | None = None) -> Arra
 
     An order that made less than one period is not told from drift: its share is 0.
     """
+    shares = np.zeros(ORDERS.size)
+    if not angle.size:
+        return shares
     centred = error - error.mean()
     total = float(centred @ centred)
     periods = ORDERS * float(np.ptp(angle)) / (2.0 * np.pi)
-    shares = np.zeros(ORDERS.size)
     factor = np.ones(angle.size) if weight is None else weight
     for k in np.flatnonzero(periods >= LEAST_PERIODS):
         wave = np.exp(1j * ORDERS[k] * angle)

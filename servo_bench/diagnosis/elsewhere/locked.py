@@ -68,6 +68,8 @@ class LockedFinding:
     over_hysteresis: float
     share: float
     shown: Shown
+    amperes: bool = False
+    """Whether torques are told as the current that makes them."""
 
     @property
     def seen_share(self) -> float:
@@ -79,12 +81,9 @@ def judge_locked(recording: Recording, held_out: Recording | None = None) -> Loc
     """Spring, spring with friction, spring with play. FitError where torque never reversed."""
     torque, twist, run, time_s = _ramp(recording)
     unseen = _ramp(held_out) if held_out is not None else _Ramp(torque, twist, run, time_s)
-    numbers = np.unique(run)
-    last = numbers[-max(1, numbers.size // 3) :] if numbers.size > 1 else numbers
-    seen = np.ones(run.size, bool) if held_out is not None else ~np.isin(run, last)
-    judged = np.ones(unseen.run.size, bool) if held_out is not None else np.isin(run, last)
-    if not seen.any():
-        seen = judged = np.ones(run.size, bool)
+    seen = np.ones(run.size, bool) if held_out is not None else _first(run)
+    judged = np.ones(unseen.run.size, bool) if held_out is not None else ~seen
+    _need_reversal(torque[seen])
     grid = _grid(torque)
     fits = {
         "spring": _fit(torque, twist, seen, grid[:, :1], ("torque",)),
@@ -101,14 +100,31 @@ def judge_locked(recording: Recording, held_out: Recording | None = None) -> Loc
         z=_z(before - after),
         over_hysteresis=_z(squares["hysteresis"] - after),
         share=float((before.sum() - after.sum()) / max(before.sum(), 1e-300)),
-        shown=_shown(_Ramp(*(values[judged] for values in unseen)), errors),
+        shown=_shown(_Ramp(*(values[judged] for values in unseen)), errors, recording),
+        amperes=_in_amperes(recording),
     )
 
 
-def _shown(ramp: "_Ramp", errors: Mapping[str, Array]) -> Shown:
+def _first(run: Array) -> NDArray[np.bool_]:
+    """What a fit may see: all but the last third of the runs, or of the only one."""
+    numbers = np.unique(run)
+    if numbers.size > 1:
+        return np.asarray(~np.isin(run, numbers[-max(1, numbers.size // 3) :]))
+    return np.asarray(np.arange(run.size) < run.size - run.size // 3)
+
+
+def _in_amperes(recording: Recording) -> bool:
+    """Whether the torque is a current whose motor nobody has described."""
+    plant = recording.plant
+    known = plant is not None and plant.torque_constant_nm_per_a is not None
+    return torque_of(recording) == "current_a" and not known
+
+
+def _shown(ramp: "_Ramp", errors: Mapping[str, Array], recording: Recording) -> Shown:
     models = (ramp.twist - errors["spring"], ramp.twist - errors["play"])
     told = (ramp.time_s, ramp.torque, ramp.twist, *models)
-    return Shown("twist", "rad", "torque", "N m", *told)
+    effort = ("current", "A") if _in_amperes(recording) else ("torque", "N m")
+    return Shown("twist", "rad", *effort, *told)
 
 
 class _Ramp(NamedTuple):
@@ -122,7 +138,10 @@ class _Ramp(NamedTuple):
 
 def _ramp(recording: Recording) -> _Ramp:
     """The gentlest runs, thinned alike."""
-    torque = np.asarray(recording[torque_of(recording)], dtype=np.float64)
+    name, plant = torque_of(recording), recording.plant
+    per_unit = plant.torque_constant_nm_per_a if plant is not None else None
+    factor = per_unit if name == "current_a" and per_unit is not None else 1.0
+    torque = factor * np.asarray(recording[name], dtype=np.float64)
     twist = np.asarray(recording["motor_position_rad"], dtype=np.float64)
     run = np.asarray(recording["run"] if "run" in recording else np.zeros(torque.size))
     known = np.isfinite(torque) & np.isfinite(twist)
@@ -130,14 +149,19 @@ def _ramp(recording: Recording) -> _Ramp:
     least = min((p for p in peaks.values() if p > 0.0), default=0.0)
     chosen = [n for n, peak in peaks.items() if 0.0 < peak < ALIKE_PEAKS * least]
     rows = np.flatnonzero(known & np.isin(run, chosen))
-    if rows.size < gate.FEWEST_BLOCKS or torque[rows].min() >= 0.0 or torque[rows].max() <= 0.0:
-        raise FitError(
-            f"{rows.size} rows of torque and twist, and play shows when torque reverses: record "
-            "slow ramps to either side, twice at least, with the output locked."
-        )
+    _need_reversal(torque[rows])
     rows = rows[:: max(1, rows.size // POINTS)]
     time_s = np.asarray(recording["t_s"], np.float64)
     return _Ramp(torque[rows], twist[rows], run[rows], time_s[rows])
+
+
+def _need_reversal(torque: Array) -> None:
+    """FitError where it never turns round, or hardly a row is there."""
+    if torque.size < gate.FEWEST_BLOCKS or torque.min() >= 0.0 or torque.max() <= 0.0:
+        raise FitError(
+            f"{torque.size} rows of torque and twist, and play shows when torque reverses: record "
+            "slow ramps to either side, twice at least, with the output locked."
+        )
 
 
 def _grid(torque: Array) -> Array:

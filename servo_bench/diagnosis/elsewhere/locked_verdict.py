@@ -43,12 +43,13 @@ def locked_verdict(
     nominal = recording.plant.backlash_gap_rad if recording.plant is not None else None
     change = play - (nominal or 0.0)
     deviation = float(np.sqrt(found.play.covariance[1, 1]))
+    unit = "a" if found.amperes else "nm"
     alone = found.over_hysteresis >= gate.HELD_Z
     rival = () if alone else ("coulomb",)
     return Verdict(
         verdict="named",
         sentence=f"The transmission has {np.rad2deg(play):.2f} deg of play"
-        f"{'' if alone else ', or friction that holds a soft spring'}: on runs that no fit saw the "
+        f"{'' if alone else ', or friction that holds a soft spring'}: on data that no fit saw the "
         f"error of the twist falls from {np.rad2deg(before):.3f} to {np.rad2deg(after):.3f} deg.",
         causes=(
             Cause(
@@ -73,10 +74,10 @@ def locked_verdict(
         next_run="" if alone else NEXT,
         effects={PLAY: {"change_rad": change}},
         nuisances={
-            "compliance_rad_per_nm": float(found.play.numbers[0]),
-            "friction_nm": found.play.friction_nm,
-            "friction_middle_nm": found.play.middle_nm,
-            "crossing_nm": found.play.crossing_nm,
+            f"compliance_rad_per_{unit}": float(found.play.numbers[0]),
+            f"friction_{unit}": found.play.friction_nm,
+            f"friction_middle_{unit}": found.play.middle_nm,
+            f"crossing_{unit}": found.play.crossing_nm,
         },
     )
 
@@ -88,7 +89,7 @@ def _unnamed(found: LockedFinding, error: ErrorFigures, *, unlike: bool) -> Verd
     if not unlike:
         return Verdict(
             verdict="none",
-            sentence="A linear spring is all that these runs need: play does not pay on runs that "
+            sentence="A linear spring is all that these runs need: play does not pay on data that "
             f"no fit saw {judged}.",
             error=error,
             next_run=NEXT,

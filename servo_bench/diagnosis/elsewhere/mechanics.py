@@ -192,6 +192,11 @@ def _rows(
     recordings: Sequence[Recording], effort: str, motion: Motion | None = None, half: int = 0
 ) -> tuple[WeakRows, Motion]:
     """Weak rows of the motion that the effort explains best. FitError where there are too few."""
+    if not any(np.nanstd(one[effort]) > 0.0 for one in recordings):
+        raise FitError(
+            f"{effort} never changes while the motor moves: what moved it is not known. Log the "
+            "channel that holds it, or mend the map."
+        )
     found: list[tuple[float, WeakRows, Motion]] = []
     for name in MOTIONS if motion is None else (motion,):
         if any(name not in one for one in recordings):

@@ -58,10 +58,11 @@ def noise_share(rows: WeakRows) -> float:
 
     Noise is told by third differences of the motion, a sample apart.
     """
-    kernel = _slopes(rows)
     quick = np.concatenate([np.diff(_moved(s, rows.motion)[::FINE], 3) for s in rows.stretches])
     sigma = 1.4826 * float(np.median(np.abs(quick))) / np.sqrt(20.0)
-    noise = sigma * float(np.sqrt(FINE * np.sum(kernel**2)))
+    squares = [float(np.sum(_slopes(rows, s) ** 2)) for s in rows.stretches]
+    points = [s.time_s.size for s in rows.stretches]
+    noise = sigma * float(np.sqrt(FINE * np.average(squares, weights=points)))
     return float(noise / max(float(rows.left.std()), 1e-300))
 
 
@@ -76,8 +77,7 @@ def _rows(stretches: tuple[Stretch, ...], motion: Motion, half: int) -> WeakRows
     kept = tuple(s for s in stretches if s.time_s.size > 2 * half + 1)
     empty = np.zeros(0)
     rows = WeakRows(kept, motion, half, empty, empty, empty.astype(int), empty.astype(int))
-    kernel = _slopes(rows)
-    left = [_means(_moved(s, motion), kernel, half) for s in kept]
+    left = [_means(_moved(s, motion), _slopes(rows, s), half) for s in kept]
     block, first = [], 0
     for s, values in zip(kept, left, strict=True):
         length = max(1, round(BLOCK_S / (s.step_s * _stride(half))))
@@ -115,9 +115,9 @@ def _bump(half: int) -> Array:
     return np.asarray(bump / bump.sum())
 
 
-def _slopes(rows: WeakRows) -> Array:
-    """-phi' or phi'' over the sum of phi."""
-    step_s = rows.stretches[0].step_s if rows.stretches else 1.0
+def _slopes(rows: WeakRows, stretch: Stretch) -> Array:
+    """-phi' or phi'' over the sum of phi, at the stretch's own steps."""
+    step_s = stretch.step_s
     x = np.linspace(-1.0, 1.0, 2 * rows.half + 1)
     total = float(((1.0 - x**2) ** 3).sum())
     if rows.motion == "motor_velocity_rad_s":

@@ -14,14 +14,15 @@ that is of another size jumps all the time (`channels`).
 """
 
 from collections.abc import Iterator, Sequence
-from itertools import islice
+from itertools import islice, pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from servo_bench.diagnosis.comparing.rows import Array
+from servo_bench.diagnosis.comparing.rows import Array, rows_of
 from servo_bench.diagnosis.judging.undecided import COMMAND, EFFORTS
+from servo_bench.errors import FitError
 from servo_bench.recording.recording import Recording
 
 MOTOR, LOAD = "motor_position_rad", "load_angle_rad"
@@ -39,10 +40,12 @@ MOST_JUMPS = 5
 
 
 class _Rows(NamedTuple):
-    """Rows in which all of some angles came, with the commands' integral there, and their times."""
+    """Rows in which all of some angles came, with the commands' integral there, what each row's
+    command asks for, and their times."""
 
     angles: tuple[Array, ...]
     commanded: Array
+    asked: Array
     time_s: Array
 
 
@@ -72,9 +75,8 @@ def _of_one(recording: Recording, rig: Rig, where: str) -> Iterator[str]:
     """What comes back after it stood has jumped as well, which nobody needs to be told."""
     stand = list[str]()
     for channel in (LOAD, MOTOR):
-        rows = _rows_of(recording, channel, deadband_rad_s=rig.deadband_rad_s)
-        if rows is not None:
-            stand += _stands(rows, channel, rig, where)
+        parts = _parts_of(recording, channel, deadband_rad_s=rig.deadband_rad_s)
+        stand += islice((said for rows in parts for said in _stands(rows, channel, rig, where)), 1)
     yield from stand or _jumps(recording, rig.gap_rad, where)
     names = [n for n in EFFORTS if n in recording and COMMAND in recording]
     silent = (said for name in names for said in _silent(recording, name, where))
@@ -128,12 +130,12 @@ def _silent(recording: Recording, name: str, where: str) -> Iterator[str]:
 
 
 def _jumps(recording: Recording, gap_rad: float, where: str) -> Iterator[str]:
-    rows, lag_rad = _rows_of(recording, LOAD, MOTOR), 0.0
-    if rows is None:
-        rows = _rows_of(recording, LOAD)
-        if rows is None:
-            return
-        lag_rad = LAG_ROWS * float(np.abs(np.diff(rows.commanded)).max())
+    parts = _parts_of(recording, LOAD, MOTOR) or _parts_of(recording, LOAD)
+    yield from islice((said for rows in parts for said in _jumped(rows, gap_rad, where)), 1)
+
+
+def _jumped(rows: _Rows, gap_rad: float, where: str) -> Iterator[str]:
+    lag_rad = 0.0 if len(rows.angles) > 1 else LAG_ROWS * float(np.abs(rows.asked).max())
     beside = rows.angles[1] if len(rows.angles) > 1 else rows.commanded
     apart = rows.angles[0] - beside
     found = _steps_of(apart, GAPS * gap_rad + APART_RAD + lag_rad)
@@ -159,16 +161,27 @@ def _steps_of(apart: Array, least_rad: float) -> list[int]:
     return found
 
 
-def _rows_of(recording: Recording, *channels: str, deadband_rad_s: float = 0.0) -> _Rows | None:
-    """The rows in which all of these angles came, where enough did, beside commands above that."""
+def _parts_of(
+    recording: Recording, *channels: str, deadband_rad_s: float = 0.0
+) -> tuple[_Rows, ...]:
+    """The rows in which all of these angles came, where enough did, beside commands above that;
+    apart where nothing says what was commanded between two of them."""
     if any(name not in recording for name in (*channels, COMMAND)):
-        return None
-    angles = np.stack([np.asarray(recording[name], np.float64) for name in channels])
-    came = np.isfinite(angles).all(axis=0)
-    if np.count_nonzero(came) < 2 * STAYS_ROWS:
-        return None
-    command = np.asarray(recording[COMMAND], np.float64)
+        return ()
+    try:
+        rows = rows_of(recording)
+    except FitError:  # said elsewhere: times that do not rise, or hardly a row
+        return ()
+    angles = np.stack([rows.channel(name) for name in channels])
+    command = rows.channel(COMMAND)
     heard = np.where(np.isfinite(command) & (np.abs(command) > deadband_rad_s), command, 0.0)
-    commanded = np.asarray(recording.period_s * np.cumsum(heard), np.float64)
-    time_s = recording.period_s * np.arange(came.size, dtype=np.float64)
-    return _Rows(tuple(angles[:, came]), commanded[came], time_s[came])
+    asked = heard * rows.durations_s
+    commanded = np.cumsum(asked) - asked  # a row's angle is taken before its own command acts
+    ends = [0, *(np.flatnonzero(rows.broken) + 1).tolist()]
+    found = []
+    for first, last in pairwise(ends):
+        came = first + np.flatnonzero(np.isfinite(angles[:, first:last]).all(axis=0))
+        if came.size >= 2 * STAYS_ROWS:
+            kept = tuple(angles[:, came])
+            found.append(_Rows(kept, commanded[came], asked[came], rows.t_s[came]))
+    return tuple(found)

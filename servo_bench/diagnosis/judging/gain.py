@@ -25,23 +25,31 @@ LOST = "missed_samples"
 """A cause that is no model's but the commands': without it the drive heard what was sent."""
 
 
-def error_figures(finding: Finding, model: Model, causes: Collection[str]) -> ErrorFigures:
-    """rms of the first signal on the held-out recording, else on the recording's validation."""
+def error_figures(finding: Finding, model: Model, causes: Collection[str]) -> ErrorFigures | None:
+    """rms of the first signal that came on the held-out recording, else on the recording's
+    validation; None where none did."""
     judge = finding.held_out or finding.recordings[0]
     whole = finding.held_out is not None
     comparison, sent = (
         compare(one, model, finding.whole.fitted[0].block) for one in (judge, finding.told)
     )
     where = comparison.seen | comparison.held_out if whole else comparison.held_out
-    before, after = _rms(sent, finding.nominal, where), _rms(comparison, model, where)
-    first, period_s = comparison.signals[0], comparison.source.rows.period_s
+    came = np.isfinite(np.where(where, comparison.measured, np.nan)).any(axis=1)
+    if not came.any():
+        return None
+    number = int(np.argmax(came))
+    before = _rms(sent, finding.nominal, where, number)
+    after = _rms(comparison, model, where, number)
+    first, period_s = comparison.signals[number], comparison.source.rows.period_s
     floor = floor_of(first, finding.quantum_rad, period_s)
     explainable = before**2 - floor**2
     share = (before**2 - after**2) / explainable if explainable > 0.0 else 0.0
     return ErrorFigures(
         before=before,
         after=after,
-        without_causes=_without(finding, sent if LOST in causes else comparison, where, causes)
+        without_causes=_without(
+            finding, sent if LOST in causes else comparison, where, number, causes
+        )
         if causes
         else None,
         noise_floor=floor,
@@ -52,14 +60,15 @@ def error_figures(finding: Finding, model: Model, causes: Collection[str]) -> Er
 
 
 def _without(
-    finding: Finding, comparison: Comparison, where: Mask, causes: Collection[str]
+    finding: Finding, comparison: Comparison, where: Mask, number: int, causes: Collection[str]
 ) -> float:
-    fitted = _rms(comparison, finding.base.model, where)
+    fitted = _rms(comparison, finding.base.model, where, number)
     try:
-        return min(fitted, _rms(comparison, finding.final.model.without(*causes), where))
+        less = finding.final.model.without(*causes)
+        return min(fitted, _rms(comparison, less, where, number))
     except SimRigError:  # what is left makes no rig
         return fitted
 
 
-def _rms(comparison: Comparison, model: Model, where: Mask) -> float:
-    return float(comparison.rms(comparison.errors_of([model])[0], where)[0])
+def _rms(comparison: Comparison, model: Model, where: Mask, number: int) -> float:
+    return float(comparison.rms(comparison.errors_of([model])[0], where)[number])

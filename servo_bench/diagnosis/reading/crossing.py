@@ -34,7 +34,7 @@ def crossing_s(comparison: Comparison, model: Model) -> float | None:
     effort = next((s for s in comparison.signals if s.simulated == "current_a"), None)
     if effort is None or comparison.block != "loop":
         return None
-    piece = comparison.pieces[0].piece
+    piece = comparison.longest
     rows = comparison.source.rows
     error = rows.channel(effort.channel)[piece.rows]
     error = error - effort.factor * comparison.source.play(model, piece)["current_a"]

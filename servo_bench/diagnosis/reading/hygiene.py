@@ -4,7 +4,7 @@ A coarse angle lies on a lattice of its quantum, whatever moves: a statement abo
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -20,6 +20,9 @@ WILD = 12.0
 """Robust deviations, beyond one and a half gaps, of samples that are wrong alone."""
 BURST_S = 0.032
 """How long they are: interference spoils a few words in a row."""
+FAST_SHARE, FAST, SPOILT_RAD = 0.99, 4.0, 0.05
+"""Of a recording's rows those that turn least are no faster than its fastest; so many times that,
+and so much, no angle leaves its neighbours by and comes back."""
 FINEST_QUANTUM_RAD, COARSEST_QUANTUM_RAD = 1.5e-4, 3e-3
 FEWEST_ROWS = 200
 FARTHEST_RAD = 250.0
@@ -48,15 +51,47 @@ def wild_samples(comparison: Comparison, model: Model, gap_rad: float) -> int:
     floor = comparison.signals[levels[0]].floor
     sigma = max(1.4826 * float(np.nanmedian(np.abs(error))), floor, 1e-12)
     longest = max(1, round(BURST_S / comparison.source.rows.period_s))
-    wild = np.zeros(error.size, np.bool_)
-    for rows in range(1, longest + 1):
-        before, after = error[: -rows - 1], error[rows + 1 :]
-        off = sliding_window_view(error[1:-1], rows) - 0.5 * (before + after)[:, None]
+    beyond = np.full(longest, WILD * sigma + 1.5 * gap_rad)
+    return int(_there_and_back(error, beyond).sum())
+
+
+def without_spoilt_words(recording: Recording, gap_rad: float) -> Recording:
+    """The recording in which an angle that is wrong alone, or a few rows in a row, did not come.
+
+    Only what no motion can be: it leaves its neighbours by several times what the fastest rows of
+    this recording turn, and by more than a gap, and is back. Robust fits pass over such a word; by
+    what a signal's own size is judged does not, and one turn too many is in hundreds of means.
+    """
+    longest = max(1, round(BURST_S / recording.period_s))
+    channels = dict(recording.channels)
+    for name in ("motor_position_rad", "load_angle_rad"):
+        angle = np.array(channels[name], np.float64) if name in channels else np.zeros(0)
+        if np.count_nonzero(np.isfinite(angle)) < FEWEST_ROWS:
+            continue
+        turned = np.abs(np.diff(angle))
+        fastest = float(np.nanquantile(turned, FAST_SHARE))
+        rows = np.arange(1.0, longest + 1.0)
+        beyond = FAST * fastest * (rows + 1.0) + 1.5 * gap_rad + SPOILT_RAD
+        spoilt = _there_and_back(angle, np.asarray(beyond, np.float64))
+        if spoilt.any():
+            channels[name] = np.where(spoilt, np.nan, angle)
+    return replace(recording, channels=channels)
+
+
+def _there_and_back(values: Array, beyond: Array) -> Mask:
+    """Where so many rows in a row, 1 to `beyond.size`, leave their neighbours to one side by more
+    than that, and those are alike; shape (rows,)."""
+    found = np.zeros(values.size, np.bool_)
+    for rows, least_off in enumerate(beyond.tolist(), 1):
+        if values.size < rows + 2:
+            break
+        before, after = values[: -rows - 1], values[rows + 1 :]
+        off = sliding_window_view(values[1:-1], rows) - 0.5 * (before + after)[:, None]
         least = np.where(np.abs(np.sign(off).sum(axis=1)) == rows, np.abs(off).min(axis=1), 0.0)
         back = np.abs(after - before) < 0.5 * least
-        for first in np.flatnonzero(back & (least > WILD * sigma + 1.5 * gap_rad)):
-            wild[first + 1 : first + 1 + rows] = True
-    return int(wild.sum())
+        for first in np.flatnonzero(back & (least > least_off)):
+            found[first + 1 : first + 1 + rows] = True
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +110,7 @@ def lattice(comparison: Comparison, model: Model) -> Lattice | None:
     on it too, it is the command's. Where that drifts off it, or by chance, it is less clear than
     the sensor's noise would leave one that the encoder makes.
     """
-    rows, piece = comparison.source.rows, comparison.pieces[0].piece
+    rows, piece = comparison.source.rows, comparison.longest
     if not rows.has("load_angle_rad") or comparison.block != "loop":
         return None
     angle = rows.channel("load_angle_rad")[piece.rows]

@@ -197,7 +197,7 @@ class _Chips(NamedTuple):
 
 def _chips_of(comparison: Comparison, model: Model, sigma: float | None = None) -> _Chips | None:
     """None of what is not played in its loop, or in pieces; `sigma` its own where none is given."""
-    rows, piece = comparison.source.rows, comparison.pieces[0].piece
+    rows, piece = comparison.source.rows, comparison.longest
     if comparison.block != "loop" or len(comparison.pieces) > 1:
         return None
     commands = rows.channel("velocity_command_rad_s")[piece.rows]

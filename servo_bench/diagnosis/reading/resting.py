@@ -59,7 +59,7 @@ def resting(
 ) -> Resting | None:
     """Of the first piece, rows that a fit may see or those that are `held_out`; None without both
     encoders, or with too few."""
-    rows, piece = comparison.source.rows, comparison.pieces[0].piece
+    rows, piece = comparison.source.rows, comparison.longest
     if not (rows.has("load_angle_rad") and rows.has("motor_position_rad")):
         return None
     shown = {n: np.asarray(v) for n, v in comparison.source.play(model, piece).items()}

@@ -144,7 +144,7 @@ def _at_rest(comparison: Comparison, model: Model, *, held_out: bool = False) ->
 
 
 def _scale(comparison: Comparison, model: Model, *, held_out: bool = False) -> _Scale | None:
-    rows, piece = comparison.source.rows, comparison.pieces[0].piece
+    rows, piece = comparison.source.rows, comparison.longest
     if not rows.has("load_angle_rad"):
         return None
     shown = comparison.source.play(model, piece)

@@ -36,7 +36,12 @@ from servo_bench.diagnosis.comparing.ticks import ticks
 from servo_bench.diagnosis.comparing.unevenness import unevenness
 from servo_bench.diagnosis.reading.creep import Creep, creep
 from servo_bench.diagnosis.reading.crossing import crossing_s
-from servo_bench.diagnosis.reading.hygiene import Lattice, lattice, wild_samples
+from servo_bench.diagnosis.reading.hygiene import (
+    Lattice,
+    lattice,
+    wild_samples,
+    without_spoilt_words,
+)
 from servo_bench.diagnosis.reading.lost import LostCommands
 from servo_bench.diagnosis.reading.orders import USUAL, OrderLine
 from servo_bench.diagnosis.reading.reading import Reading
@@ -153,7 +158,7 @@ def find_causes(
     began = time.perf_counter()
     _need_command(recordings)
     rows = rows_to_a_command(recordings) if block in ("auto", "loop") else 1
-    came, thin = recordings[0], _thinned(recordings, held_out, rows)
+    came, thin = recordings[0], _thinned(recordings, held_out, rows, model)
     ready = made_ready(*thin, model, block=block, without=without, report=report)
     quick, base, scales, band = ready.quick, ready.base, ready.scales, ready.band
     motor, waves, turns = ready.motor, ready.waves, turns_of(quick)
@@ -344,10 +349,14 @@ def _need_command(recordings: Sequence[Recording]) -> None:
 
 
 def _thinned(
-    recordings: Sequence[Recording], held_out: Recording | None, rows: int
+    recordings: Sequence[Recording], held_out: Recording | None, rows: int, model: Model
 ) -> tuple[tuple[Recording, ...], Recording | None]:
-    judge = thinned(held_out, rows) if held_out is not None else None
-    return tuple(thinned(recording, rows) for recording in recordings), judge
+    """One row kept of so many, and no word that the line spoilt."""
+    gap_rad = model.nominal.backlash_gap_rad
+    every = [*recordings, *([held_out] if held_out is not None else [])]
+    kept = [thinned(without_spoilt_words(one, gap_rad), rows) for one in every]
+    judge = kept.pop() if held_out is not None else None
+    return tuple(kept), judge
 
 
 def _of_the_rows(came: Recording, rows: int) -> tuple[str, ...]:
@@ -362,6 +371,11 @@ def _of_the_rows(came: Recording, rows: int) -> tuple[str, ...]:
 def _wild(came: Recording, whole: Evidence, model: Model, scales: Scales) -> int:
     """Wrong samples, of all the rows that came."""
     seen = whole.fitted[0]
+    kept = without_spoilt_words(came, scales.gap_rad)
     if 1.5 * came.period_s < seen.source.rows.period_s:
-        seen = compare(came, model, seen.block, scales=SCALES)
-    return wild_samples(seen, model, scales.gap_rad)
+        seen = compare(kept, model, seen.block, scales=SCALES)
+    spoilt = sum(
+        int(np.count_nonzero(np.isfinite(came[name]) & np.isnan(kept[name])))
+        for name in {"load_angle_rad"} & came.channels.keys()
+    )
+    return wild_samples(seen, model, scales.gap_rad) + spoilt

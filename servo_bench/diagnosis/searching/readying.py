@@ -226,7 +226,7 @@ def _nearer(quick: Evidence, base: Found, waves: Sequence[Wave]) -> Model:
 
 def _scales(quick: Evidence, model: Model) -> Scales:
     source = quick.fitted[0].source
-    rows, piece = source.rows, source.pieces(quick.fitted[0].window_s)[0]
+    rows, piece = source.rows, quick.fitted[0].longest
     commands = rows.channel("velocity_command_rad_s")[piece.rows]
     scales = scales_of(model, commands, rows.durations_s[piece.rows])
     return scales._replace(peaks_a=(*_largest_a(rows, model), *scales.peaks_a))

@@ -104,7 +104,7 @@ def play_round(
     beside |= _siblings([one for one, _ in near])
     near += [pair for pair in ranked if pair[0].hypothesis.effect in beside]
     again = [(one, _again(quick, one, f, sigma)) for one, f in near]
-    without = [m for one, f in again if (m := _less(f.model, _not_the_base_s(base, one)))]
+    without = [m for one, f in again if (m := _less(f.model, _not_the_base_s(base, one), base))]
     cold = base if settled else _sought(quick, base, sigma)
     rested = _rested(quick, cold, sigma, without)
     ends = [(gone_on(quick, rested, f, _own(one)), one.hypothesis) for one, f in again]
@@ -298,10 +298,16 @@ def _put_beside(model: Model, found: Found, own: Collection[str], share: float) 
     return model
 
 
-def _less(model: Model, effects: Collection[str]) -> Model | None:
-    """The model without these; None where what is left makes no rig."""
+def _less(model: Model, effects: Collection[str], base: Found) -> Model | None:
+    """The model without these; None where what is left makes no rig.
+
+    What a rig's file has of them stays as it is believed: a wave that is not there would be cured
+    in the base for nothing.
+    """
+    sought = {u.effect for u in base.unknowns}
+    believed = {n: base.model.effects[n] for n in base.model.effects.keys() & set(effects) - sought}
     try:
-        return model.without(*effects)
+        return replace(model, effects={**model.without(*effects).effects, **believed})
     except EffectError:
         return None
 

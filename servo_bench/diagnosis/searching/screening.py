@@ -15,7 +15,7 @@ start from trials at their own size (see `approaching`).
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -73,7 +73,8 @@ def screen(
         one = pair[0]
         if hypothesis.effect in STEEP and np.isfinite(gain):
             steep.setdefault(hypothesis.effect, []).append(one)
-        trial = _at_phase(one, amounts) if len(pair) == 2 else towards(one, base.model, amounts[0])
+        waves = len(pair) == 2
+        trial = (at_phase if waves else towards)(one, base.model, amounts)
         best = found.get(hypothesis.effect)
         if best is None or gain > best.gain:
             found[hypothesis.effect] = Screened(hypothesis, trial, gain)
@@ -113,24 +114,32 @@ def _turned(trial: Trial, phase_rad: float) -> Trial:
     return replace(trial, settings=settings)
 
 
-def towards(trial: Trial, model: Model, amount: float) -> Trial:
+def towards(trial: Trial, model: Model, amounts: Array) -> Trial:
     """So much of the way from what a model has of the effect already to the trial; of its sign."""
     strength = next(iter(trial.settings))
     params = model.effects.get(trial.effect)
     now = float(getattr(params, strength)) if params is not None else 0.0
     tried = float(trial.settings[strength])
-    return trial.times(max((now + float(amount) * (tried - now)) / tried, SMALLEST))
+    return trial.times(max((now + float(amounts[0]) * (tried - now)) / tried, SMALLEST))
 
 
-def _at_phase(trial: Trial, amounts: Array) -> Trial:
-    """The trial at the phase and size that two amounts, at 0 and a quarter, make."""
-    size = float(np.hypot(*amounts))
-    phase = float(np.arctan2(amounts[1], amounts[0]))
-    if trial.effect in SECOND_ORDER:
-        size, phase = np.sqrt(size), phase / 2.0
-    scaled = trial.times(float(np.clip(size, 0.02, 20.0)))
-    settings = {**scaled.settings, "phase_rad": phase}
+def at_phase(trial: Trial, model: Model, amounts: Array) -> Trial:
+    """The trial at the phase and size that two amounts, at 0 and a quarter, make of what a model
+    has of the wave already: each is so much of the way from there to its own trial."""
+    power = 2 if trial.effect in SECOND_ORDER else 1
+    strength = next(iter(trial.settings))
+    tried = float(trial.settings[strength]) ** power
+    params = model.effects.get(trial.effect)
+    now = 0j if params is None else _wave(params, strength, power) / tried
+    made = now + amounts[0] * (1.0 - now) + amounts[1] * (1j - now)
+    scaled = trial.times(float(np.clip(abs(made) ** (1.0 / power), 0.02, 20.0)))
+    settings = {**scaled.settings, "phase_rad": float(np.angle(made)) / power}
     return replace(scaled, settings=settings)
+
+
+def _wave(params: Any, strength: str, power: int) -> complex:
+    size, phase_rad = float(getattr(params, strength)), float(params.phase_rad)
+    return complex(size**power * np.exp(1j * power * phase_rad))
 
 
 class Beside:

@@ -8,13 +8,13 @@ it) and then among the rigs and experiments that ship with the bench, so that
 import tomllib
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 import sim_rig
 from servo_bench.errors import ConfigError
-from servo_bench.units import to_si
+from servo_bench.units import spellings, to_si
 
 SHIPPED = (Path(__file__).parent / "library", Path(sim_rig.__file__).parent)
 Model = TypeVar("Model", bound=BaseModel)
@@ -30,7 +30,20 @@ class Value(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _accept_readers_units(cls, data: Any) -> Any:
-        return to_si(data) if isinstance(data, dict) else data
+        if not isinstance(data, dict):
+            return data
+        converted = to_si(data)
+        for name, value in converted.items():
+            field = cls.model_fields.get(name)
+            if field is not None and isinstance(value, str | bool) and _is_number(field.annotation):
+                raise ValueError(f"{name} = {value!r}: give a number, without quotation marks")
+        return converted
+
+
+def _is_number(annotation: Any) -> bool:
+    """Whether a field takes numbers and nothing else; None aside."""
+    allowed = set(get_args(annotation) or (annotation,)) - {type(None)}
+    return bool(allowed) and allowed <= {int, float}
 
 
 def find(name: str | Path, beside: Path | None = None) -> Path:
@@ -73,30 +86,45 @@ def validated(model: type[Model], table: dict[str, Any], source: str) -> Model:
         return model.model_validate(table)
     except ValidationError as error:
         items = error.errors(include_url=False)
-        missing = [_key(item["loc"], table) for item in items if item["type"] == "missing"]
-        lines = [
-            f"  {_key(item['loc'], table)}: {item['msg']}"
-            + (f", got {item['input']!r}" if item["type"] != "missing" else "")
-            + (_meant(_key(item["loc"], table), missing) if item["type"] == EXTRA else "")
-            for item in items
-        ]
+        missing = [_key(item["loc"], table)[0] for item in items if item["type"] == "missing"]
+        lines = []
+        for item in items:
+            key, written = _key(item["loc"], table)
+            got = item["input"] if written is None else written
+            lines.append(
+                f"  {key}: {item['msg']}"
+                + (f", got {got!r}" if item["type"] not in ("missing", "value_error") else "")
+                + (_meant(key, missing) if item["type"] == EXTRA else "")
+            )
         raise ConfigError(f"{source}: mend these keys:\n" + "\n".join(lines)) from error
 
 
 def _meant(key: str, missing: list[str]) -> str:
-    """The missing key that one too many was probably meant to be, in words."""
-    near = get_close_matches(key, missing, n=1)
+    """The missing key that one too many was probably meant to be, in words; in the reader's unit
+    where that is nearer to what was written."""
+    near = get_close_matches(key, [name for one in missing for name in spellings(one)], n=1)
     return f". Is {near[0]} meant?" if near else ""
 
 
-def _key(place: tuple[int | str, ...], table: Any) -> str:
-    """The dotted key at a validator's `place`, without the names of union members it has tried."""
+def _key(place: tuple[int | str, ...], table: Any) -> tuple[str, Any]:
+    """The dotted key at a validator's `place`, without the names of union members it has tried, as
+    the reader has written it; and where that was in another unit, what was written."""
     parts: list[str] = []
+    converted = False
     for depth, part in enumerate(place):
-        last = depth == len(place) - 1
-        if isinstance(table, dict) and part not in table and not last:
-            continue
-        parts.append(str(part))
-        if isinstance(table, dict):
-            table = table.get(part)
-    return ".".join(parts) or "(file)"
+        name = part
+        if isinstance(table, dict) and part not in table:
+            name = next((n for n in spellings(str(part)) if n in table), part)
+            if name == part and depth < len(place) - 1:
+                continue
+            converted = converted or name != part
+        parts.append(str(name))
+        table = _at(table, name)
+    return ".".join(parts) or "(file)", table if converted else None
+
+
+def _at(table: Any, key: int | str) -> Any:
+    if isinstance(table, dict):
+        return table.get(key)
+    inside = isinstance(table, list) and isinstance(key, int) and key < len(table)
+    return table[key] if inside else None

@@ -6,9 +6,9 @@ their settings. Reader's units are accepted in every table (`backlash_gap_deg = 
 
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
-from pydantic import Field, PositiveFloat
+from pydantic import Field, PositiveFloat, model_validator
 
 from drivers.canopen.settings import CanopenSettings
 from drivers.counter.settings import CounterSettings
@@ -111,6 +111,20 @@ class RigConfig(Value):
     """`[effects.NAME]`: what the simulation of this rig has beyond its nominal values."""
     simulated: SimulatedConfig | None = None
     """How the software rig differs from the rig that the file describes."""
+
+    @model_validator(mode="after")
+    def _two_nodes(self) -> Self:
+        ids = [
+            device.node_id
+            for device in (self.drive, self.encoder)
+            if isinstance(device, DriveConfig | EncoderConfig)
+        ]
+        if len(set(ids)) < len(ids):
+            raise ValueError(
+                f"drive.node_id and encoder.node_id are both {ids[0]}: give each node of the bus "
+                "an id of its own, 1 to 127"
+            )
+        return self
 
     def nominal_values(self) -> Nominal:
         """The nominal rig in the simulation's own words."""

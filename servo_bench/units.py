@@ -21,7 +21,7 @@ READER_UNITS: dict[str, tuple[str, float]] = {
 def to_si(table: Mapping[str, Any]) -> dict[str, Any]:
     """Rename and scale every key of `table` that ends in a reader's unit.
 
-    Raises ValueError when a quantity is given twice, once in each unit.
+    Raises ValueError when a quantity is given twice, once in each unit, or as text.
     """
     converted: dict[str, Any] = {}
     for key, value in table.items():
@@ -32,10 +32,22 @@ def to_si(table: Mapping[str, Any]) -> dict[str, Any]:
     return converted
 
 
+def spellings(key: str) -> tuple[str, ...]:
+    """A field's name, and how readers may write it in their units."""
+    others = (
+        key.removesuffix(si_suffix) + suffix
+        for suffix, (si_suffix, _) in READER_UNITS.items()
+        if key.endswith(si_suffix) and not (si_suffix == "_s" and key.endswith("_rad_s"))
+    )
+    return key, *others
+
+
 def _si(key: str, value: Any) -> tuple[str, Any]:
     for suffix, (si_suffix, factor) in READER_UNITS.items():
         if key.endswith(suffix):
             scaled = _scaled(value, factor)
+            if scaled is None and isinstance(value, str | bool):
+                raise ValueError(f"{key} = {value!r}: give a number, without quotation marks")
             return (
                 (key, value) if scaled is None else (key.removesuffix(suffix) + si_suffix, scaled)
             )

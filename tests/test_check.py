@@ -18,6 +18,7 @@ from servo_bench.check.plan import Bounds, Plan, load_plan
 from servo_bench.cli import app as cli
 from servo_bench.cli.check import NOT_PASSED
 from servo_bench.errors import ConfigError, RecordingError, WireError
+from servo_bench.files import find
 from servo_bench.run.virtual import save
 from tests.reported_run import HOSTILE, Page
 from tests.small_runs import experiment, small_run
@@ -138,6 +139,8 @@ def test_only_a_permission_leads_to_the_rigs_own_bus(
         ("limits = 7\n", "limits"),
         ("[limits]\nnoise_rad_s = { most = 1 }\nnoise_deg_s = { most = 1 }\n", "given twice"),
         ("[verdict]\nallowed = []\n", "allowed"),
+        ('[verdict]\nallowed = ["nome"]\n', "no diagnosis says 'nome'.* Is 'none' meant"),
+        ('[verdict]\nallowed = ["none", "coulom"]\n', "Is 'coulomb' meant"),
         ('time = "sometimes"\n[limits]\nnoise_rad_s = { most = 1 }\n', "time"),
         ('rig = "no-such.toml"\n[limits]\nnoise_rad_s = { most = 1 }\n', "no-such.toml"),
     ],
@@ -145,6 +148,23 @@ def test_only_a_permission_leads_to_the_rigs_own_bus(
 def test_a_plan_that_makes_no_sense_says_where(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         load_plan(_plan(tmp_path, text))
+
+
+def test_a_recording_of_something_else_is_not_judged(tmp_path: Path, file: Path) -> None:
+    plan = _plan(tmp_path, "[limits]\nnoise_rad_s = { most = 1e9 }\n")
+    assert _check(plan, "--recording", file)[0] == 0
+    for words in (("-o", tmp_path / "new.mcap"), ("--permit-real-rig",)):
+        assert isinstance(_check(plan, "--recording", file, *words)[2], ConfigError)
+    (tmp_path / "small.toml").write_text(EXPERIMENT.replace("= 150", "= 100"))
+    error = _check(plan, "--recording", file)[2]
+    assert isinstance(error, ConfigError)
+    assert "commands something else than 'small'" in str(error)
+    other = _plan(tmp_path, 'rig = "rig.toml"\n[limits]\nnoise_rad_s = { most = 1e9 }\n')
+    paper = find("rigs/paper.toml").read_text(encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(paper.replace('name = "paper"', 'name = "another"'))
+    error = _check(other, "--recording", file)[2]
+    assert isinstance(error, ConfigError)
+    assert "is of the rig 'paper', and the plan is for 'another'" in str(error)
 
 
 def test_readers_units_are_those_of_the_figure(tmp_path: Path) -> None:

@@ -210,3 +210,13 @@ def test_the_command_says_what_failed(saved: tuple[Path, Path], tmp_path: Path) 
     out.write_text("")
     there = CliRunner().invoke(cli.app, [*call, "--model", str(start)]).exception
     assert "exists already" in str(there)
+
+
+def test_a_model_that_is_none_of_the_recordings_is_told_beside_its_standard_errors() -> None:
+    """Another rig's file: a hundred times the inertia, of which only K_T is free."""
+    seen = made.recorded(MODEL, 5, slots=400)
+    heavy = Model(replace(made.NOMINAL, inertia_kg_m2=100.0 * made.NOMINAL.inertia_kg_m2))
+    found = fit(seen, heavy, ["K_T"])
+    assert any("does not describe this recording" in note for note in found.notes)
+    right = fit(seen, MODEL, ["K_T"])
+    assert not any("does not describe" in note or "grew" in note for note in right.notes)

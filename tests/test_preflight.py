@@ -77,6 +77,13 @@ def test_a_long_schedule_is_predicted_to_its_end(
     assert asdict(in_pieces) == pytest.approx(asdict(at_once), rel=1e-12)
 
 
+def test_a_memory_that_a_run_would_refuse_is_refused_before(rig: RigConfig) -> None:
+    plan = experiment().model_copy(update={"memory": 30, "lead_in": 64})
+    found = by_subject(preflight(plan, rig))
+    assert found["memory"].level is Level.STOP
+    assert "collide beyond" in found["memory"].text
+
+
 def test_a_temperature_that_nobody_can_ask_is_no_limit(rig: RigConfig, tmp_path: Path) -> None:
     profile = tmp_path / "hot.toml"
     shipped = Path(drivers.__file__).parent / "profiles/canopen/generic.toml"

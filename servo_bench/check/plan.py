@@ -19,16 +19,22 @@ allowed = ["none"]                   # "none", "unknown", or names of effects
 
 import math
 from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from servo_bench.errors import ConfigError
 from servo_bench.excitation.experiment import Experiment, load_experiment
 from servo_bench.files import Value, find, read_toml, validated
+from servo_bench.recording.recording import Recording
 from servo_bench.rig import RigConfig, load_rig
 from servo_bench.units import to_si
+from sim_rig.effects import catalogue
+
+UNNAMED = ("none", "unknown")
 
 
 class Bounds(Value):
@@ -68,6 +74,19 @@ class AllowedVerdict(Value):
 
     allowed: tuple[str, ...] = Field(min_length=1)
     """The verdicts that pass: "none", "unknown", and names of effects."""
+
+    @model_validator(mode="after")
+    def _can_be_said(self) -> "AllowedVerdict":
+        known = {*UNNAMED, *catalogue()}
+        wrong = [name for name in self.allowed if name not in known]
+        if wrong:
+            near = get_close_matches(wrong[0], known, n=1)
+            meant = f" Is {near[0]!r} meant?" if near else ""
+            raise ValueError(
+                f"no diagnosis says {wrong[0]!r}: allowed are 'none', 'unknown', and the effects "
+                f"that servo-bench effects lists.{meant}"
+            )
+        return self
 
 
 class Plan(Value):
@@ -118,6 +137,24 @@ def _si_bounds(table: Any) -> Any:
             raise ValueError(f"{si_name} is given twice, once as {name}: give it once")
         turned[si_name] = {key: next(iter(end.values())) for key, end in ends.items()}
     return turned
+
+
+def need_the_plans(recording: Recording, experiment: Experiment, rig: RigConfig) -> None:
+    """Raise ConfigError where a recording is known to be another experiment's or another rig's."""
+    played, on = recording.experiment, recording.rig
+    if played is not None:
+        commanded, wanted = (one.schedule().velocity_rad_s for one in (played, experiment))
+        if not np.array_equal(commanded, wanted):
+            raise ConfigError(
+                f"the recording is one of the experiment {played.name!r}, which commands something "
+                f"else than {experiment.name!r}, the plan's. Judge a recording of that, or let "
+                "servo-bench check play it."
+            )
+    if on is not None and on.name != rig.name:
+        raise ConfigError(
+            f"the recording is of the rig {on.name!r}, and the plan is for {rig.name!r}. Judge a "
+            "recording of that rig, or name the other one in the plan."
+        )
 
 
 def load_plan(name: str | Path) -> tuple[Plan, Experiment, RigConfig]:

@@ -4,6 +4,7 @@ Exit codes: 0 done, 1 any other failure of ours, 2-9 see `servo_bench.errors`, 1
 pass its acceptance plan, 130 stopped by the operator before there was anything to keep.
 """
 
+import os
 import sys
 
 import typer
@@ -12,6 +13,9 @@ from rich.console import Console
 from servo_bench import __version__
 from servo_bench.cli.on_demand import Entry, OnDemandGroup
 from servo_bench.errors import BenchError, gathered
+
+COLUMNS = 200
+"""Of a table that goes to no terminal."""
 
 # To register a command add its row, in the order of the help: the name; its module, which has an
 # `add_to(app)`, or an `app` of its own if it is a group; and the first sentence of its help (a
@@ -145,6 +149,8 @@ def _options(
 
 def main() -> None:
     """Entry point of the `servo-bench` program."""
+    if not sys.stdout.isatty():  # a pipe or a log has no edge at which a number could be cut
+        os.environ.setdefault("COLUMNS", str(COLUMNS))
     try:
         with gathered():
             app()

@@ -12,10 +12,10 @@ from rich.table import Table
 from servo_bench.check.judge import Judgement, judge
 from servo_bench.check.junit import error_xml, judgement_xml
 from servo_bench.check.page import judgement_page
-from servo_bench.check.plan import Plan, load_plan
+from servo_bench.check.plan import Plan, load_plan, need_the_plans
 from servo_bench.cli.output import check_outputs, write_bytes, write_json, write_text
 from servo_bench.cli.run import STOPPED_BY_OPERATOR, play, tell_summary
-from servo_bench.errors import BenchError
+from servo_bench.errors import BenchError, ConfigError
 from servo_bench.excitation.experiment import Experiment
 from servo_bench.recording.mcap_file import load
 from servo_bench.recording.recording import Recording
@@ -56,9 +56,15 @@ def check(
     check_outputs(out, report, json, junit)
     wanted, experiment, rig = load_plan(plan)
     console = Console(stderr=True, emoji=False)
+    if recording is not None and (out is not None or permit_real_rig):
+        raise ConfigError(
+            "--recording judges what is there, and plays nothing: leave --out and "
+            "--permit-real-rig away."
+        )
     try:
         if recording is not None:
             recorded = load(recording)
+            need_the_plans(recorded, experiment, rig)
         else:
             recorded = _played(wanted, experiment, rig, console, out, permitted=permit_real_rig)
         judgement = judge(wanted, recorded)

@@ -1,5 +1,6 @@
 """`servo-bench doctor`: this computer, the wire, the drive, the encoder, and what to change."""
 
+import logging
 from contextlib import ExitStack
 from typing import Annotated
 
@@ -37,6 +38,7 @@ def doctor(
 
     Without --move nothing is enabled. Exit code 1 where something must be mended first.
     """
+    logging.getLogger("can").setLevel(logging.CRITICAL)  # what it logs the findings say
     chosen = load_rig(rig)
     if port is not None:
         chosen = chosen.with_bus(port=port)
@@ -49,7 +51,8 @@ def doctor(
             show(console, told)
             findings = findings + told
         else:
-            show(console, [move.advice()])
+            show(console, advice := [move.advice()])
+            findings = findings + advice
     conclude(console, findings, "the rig is ready.")
 
 

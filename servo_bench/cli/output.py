@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from servo_bench.errors import ConfigError
+from servo_bench.errors import ConfigError, disk_is_full
 
 
 def check_outputs(*paths: Path | None) -> None:
@@ -48,12 +48,22 @@ def write_text(path: Path, text: str) -> None:
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a new file; ConfigError where the folder is missing or the file is there."""
     try:
-        with path.open("xb") as file:
-            file.write(content)
+        file = path.open("xb")
     except FileExistsError:
         check_outputs(path)
+        return
     except OSError as error:
         raise _cannot_be_written(path, error.strerror) from error
+    try:
+        with file:
+            file.write(content)
+    except BaseException as error:  # half a file is none, and would stand in the next one's way
+        path.unlink(missing_ok=True)
+        if disk_is_full(error):
+            raise ConfigError(f"{path} cannot be written: the disk is full. Make room.") from error
+        if isinstance(error, OSError):
+            raise _cannot_be_written(path, error.strerror) from error
+        raise
 
 
 def write_json(path: Path, numbers: Mapping[str, Any]) -> None:

@@ -31,7 +31,7 @@ def recover(
     found = recover_file(file, target)
     text = (
         f"{found.samples} samples ({found.seconds:.1f} s) and {found.events} events are in "
-        f"{target}; {found.lost_bytes} bytes at the end could not be read."
+        f"{target}; {found.lost_bytes} bytes could not be read."
         if found.was_cut
         else f"{file} was complete already: all {found.samples} samples are in {target} too."
     )

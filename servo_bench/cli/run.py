@@ -42,7 +42,7 @@ def run(
     priority: Annotated[
         int, typer.Option(min=0, max=99, help="SCHED_FIFO priority of the bus loop; 0 for none.")
     ] = PRIORITY,
-    cpu: Annotated[int | None, typer.Option(help="CPU to pin the bus loop to.")] = None,
+    cpu: Annotated[int | None, typer.Option(min=0, help="CPU to pin the bus loop to.")] = None,
 ) -> None:
     """Play an experiment on a rig and record it.
 

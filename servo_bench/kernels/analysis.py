@@ -13,7 +13,7 @@ from servo_bench.kernels.identification import (
     Identification,
     command_delay,
 )
-from servo_bench.kernels.played import Played
+from servo_bench.kernels.played import Played, need_resolvable
 from servo_bench.kernels.plays import (
     MeasuredPlay,
     amplitude_of,
@@ -169,6 +169,7 @@ def analyse(
     bias_rad_s = plays[0].bias_rad_s
     response = replace(response, command_rad_s=response.command_rad_s - bias_rad_s)
     samples = _memory_of(recording, plays[0]) if memory is None else memory
+    need_resolvable(plays[0].played, samples)
     delay = command_delay(response, max(plays, key=amplitude_of), samples)
     measured = [measured_play(response, play, samples, delay) for play in plays]
     main = min(measured, key=distance_from(response))

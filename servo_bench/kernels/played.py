@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_bench.errors import FitError
 from servo_bench.excitation.fields import field_sequence
 from servo_bench.excitation.msequence import m_sequence
 from servo_bench.excitation.sequences import inverse_repeat
@@ -79,3 +80,14 @@ class Played:
 def as_played(sequence: "Played | str") -> Played:
     """A polynomial alone, in octal, is a plain M-sequence."""
     return Played(sequence) if isinstance(sequence, str) else sequence
+
+
+def need_resolvable(played: Played, memory: int) -> None:
+    """Raise FitError for a memory in which the sequence cannot tell elements apart."""
+    limit = played.resolvable_memory
+    if memory > limit:
+        raise FitError(
+            f"memory {memory} is beyond what {played.polynomial} can resolve: different kernel "
+            f"elements fall on the same shift from {limit + 1} samples on. Use a memory of at most "
+            f"{limit}, or a polynomial of a higher degree."
+        )

@@ -69,7 +69,8 @@ def read_bytes(path: Path) -> bytes:
         begins = f"it begins with {data[:8].hex(' ')}" if data else "it is empty"
         raise RecordingError(
             f"{path} is not an MCAP file: {begins}, and MCAP with {MAGIC.hex(' ')}. "
-            f"{DOCUMENT} says how to write one from other data."
+            f"CSV, MAT, NPZ and the like become one by servo-bench import; {DOCUMENT} says how to "
+            "write one."
         )
     return data
 

@@ -247,7 +247,7 @@ def run_job(job: Job, table: SlotTable) -> None:
     if job.cpu is not None:
         try:
             os.sched_setaffinity(0, {job.cpu})
-        except (OSError, OverflowError) as error:
+        except (OSError, OverflowError, ValueError) as error:
             raise ConfigError(
                 f"cpu = {job.cpu}: the bus loop cannot be pinned there ({error}). This process may "
                 f"use {sorted(os.sched_getaffinity(0))}. Name one of these."

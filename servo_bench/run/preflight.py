@@ -28,6 +28,7 @@ from servo_bench.rig import RigConfig
 from servo_bench.run.axes import axis_settings
 from servo_bench.run.finding import Finding, change, note, ok, stop
 from servo_bench.run.limits import check_schedule
+from servo_bench.run.session import check_memory
 
 COARSE = 0.01
 """A velocity quantum above this share of the command's amplitude is worth a change."""
@@ -43,6 +44,7 @@ def preflight(experiment: Experiment, rig: RigConfig) -> list[Finding]:
     except BenchError as error:
         findings.append(stop("period and line", str(error)))
     for subject, check in (
+        ("memory", lambda: _memory(experiment)),
         ("limits", lambda: _limits(schedule, rig)),
         ("motion and current", lambda: _motion(schedule, rig)),
     ):
@@ -89,6 +91,11 @@ def _temperature(settings: CanopenSettings | ModbusSettings, limit_c: float) -> 
         f"limits.drive_temperature_c = {limit_c:g} watches nothing: the profile of {profile.title} "
         "does not say where the drive tells it. Complete the profile, or take the limit out.",
     )
+
+
+def _memory(experiment: Experiment) -> list[Finding]:
+    check_memory(experiment)
+    return []
 
 
 def _limits(schedule: Schedule, rig: RigConfig) -> list[Finding]:

@@ -33,6 +33,9 @@ from servo_bench.recording.blocks import Name
 from servo_bench.recording.recording import Recording
 from sim_rig.model import Model
 
+NO_MODEL, WORSE = 0.7, 1.05
+"""Of the motion, what is left where a model is none of the recording's; and of the error on data
+that no fit saw, what is more than chance."""
 AT_BOUND = 1e-3
 """Closer than this to a bound, in spreads, is at it."""
 UNSEEN_SHARE = 0.5
@@ -162,6 +165,8 @@ def fit(
         for p, s in zip(parameters, deviations, strict=True)
     )
     reasons = [*_failures(solved, problem), *_unseen(parameters, estimates, alike.members)]
+    signals = _signal_errors(comparison, judged, model, best)
+    fits_ill = _fits_ill(judged or comparison, signals[0])
     return Fit(
         model=best,
         before=model,
@@ -169,12 +174,12 @@ def fit(
         window_s=comparison.window_s,
         estimates=estimates,
         correlation=together,
-        signals=_signal_errors(comparison, judged, model, best),
+        signals=signals,
         iterations=solved.iterations,
         simulations=solved.simulations,
         converged=not reasons,
         reason=" ".join(reasons),
-        notes=(*alike.sentences, *_nothing_of(parameters, solved)),
+        notes=(*fits_ill, *alike.sentences, *_nothing_of(parameters, solved)),
     )
 
 
@@ -259,6 +264,23 @@ def _signal_errors(
         )
         for k, signal in enumerate(comparison.signals)
     )
+
+
+def _fits_ill(judged: Comparison, first: SignalError) -> Iterator[str]:
+    """Where standard errors say how well numbers of a wrong model are known."""
+    moved = float(judged.rms(judged.measured, judged.held_out | judged.seen)[0])
+    left = first.held_out_after
+    if left > NO_MODEL * moved:
+        yield (
+            f"The fitted model misses {left:.3g} {first.unit} of the {first.name}, which is "
+            f"{moved:.3g}: it does not describe this recording, whatever the standard errors say. "
+            "See that the rig's file is this rig's, and has its gains."
+        )
+    elif left > WORSE * first.held_out_before:
+        yield (
+            f"On data that the fit did not see its error grew, from {first.held_out_before:.3g} to "
+            f"{left:.3g} {first.unit}: what is wrong with the model is none of these numbers."
+        )
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:

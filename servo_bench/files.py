@@ -89,7 +89,7 @@ def validated(model: type[Model], table: dict[str, Any], source: str) -> Model:
         missing = [_key(item["loc"], table)[0] for item in items if item["type"] == "missing"]
         lines = []
         for item in items:
-            key, written = _key(item["loc"], table)
+            key, written = _key(item["loc"], table, of_a_table=item["type"] == "value_error")
             got = item["input"] if written is None else written
             lines.append(
                 f"  {key}: {item['msg']}"
@@ -106,16 +106,17 @@ def _meant(key: str, missing: list[str]) -> str:
     return f". Is {near[0]} meant?" if near else ""
 
 
-def _key(place: tuple[int | str, ...], table: Any) -> tuple[str, Any]:
+def _key(place: tuple[int | str, ...], table: Any, *, of_a_table: bool = False) -> tuple[str, Any]:
     """The dotted key at a validator's `place`, without the names of union members it has tried, as
-    the reader has written it; and where that was in another unit, what was written."""
+    the reader has written it; and where that was in another unit, what was written. What is said
+    `of_a_table` as a whole may end in such a name."""
     parts: list[str] = []
     converted = False
     for depth, part in enumerate(place):
         name = part
         if isinstance(table, dict) and part not in table:
             name = next((n for n in spellings(str(part)) if n in table), part)
-            if name == part and depth < len(place) - 1:
+            if name == part and (of_a_table or depth < len(place) - 1):
                 continue
             converted = converted or name != part
         parts.append(str(name))

@@ -145,10 +145,19 @@ class RigConfig(Value):
                 'drive.sync = "drive" and an encoder on a serial line: the line is asked at this '
                 "computer's pace, not at the drive's. Set drive.sync = \"master\"."
             )
+        drive = self.drive.settings()
+        beats = drive.profile.stopping.watchdog == "heartbeat"
+        if beats and drive.heartbeat_timeout_s <= drive.heartbeat_s + period_s:
+            raise ConfigError(
+                f"drive.heartbeat_timeout_s = {drive.heartbeat_timeout_s:g} s, and heartbeats go "
+                f"out every {drive.heartbeat_s:g} s, with a command, so up to {period_s:g} s "
+                "later: the drive would take its master for lost. Lower drive.heartbeat_s, or "
+                "raise drive.heartbeat_timeout_s."
+            )
         with gathered():
             return CanopenSettings(
                 bus=self.bus,
-                drive=self.drive.settings(),
+                drive=drive,
                 encoder=encoder.settings() if isinstance(encoder, EncoderConfig) else None,
                 period_s=period_s / self.samples_per_command,
                 command_every=self.samples_per_command,

@@ -58,6 +58,15 @@ def test_a_word_that_no_motion_can_be_did_not_come(channel: str) -> None:
     assert np.nanmax(np.abs(kept[:700] - angle[:700])) == 0.0
 
 
+def test_a_recording_that_mostly_rests_loses_no_motion() -> None:
+    played = np.zeros(6000)
+    played[3000:3050] = np.repeat(np.random.default_rng(2).choice([-6.0, 6.0], 25), 2)
+    run = recorded(MODEL, 19, played=played)
+    kept = without_spoilt_words(run, 0.0)
+    for channel in ("load_angle_rad", "motor_position_rad"):
+        np.testing.assert_array_equal(kept[channel], run[channel])
+
+
 def test_one_spoilt_word_moves_no_allowance() -> None:
     run = recorded(MODEL, 20, slots=SLOTS)
     spoilt = np.array(run["load_angle_rad"])

@@ -86,6 +86,14 @@ def test_a_wave_is_where_two_ways_from_the_believed_one_lead(effect: str) -> Non
     assert made == pytest.approx(wanted)
 
 
+def test_a_believed_wave_of_another_order_is_no_way_to_a_trial() -> None:
+    model = MODEL.with_effect("cogging", torque_nm=0.02, order=24.0, phase_rad=1.0)
+    trial = Trial("cogging", {"torque_nm": 0.01, "order": 12.0, "phase_rad": 0.0}, 0.01)
+    found = at_phase(trial, model, np.array([0.3, 0.2])).settings
+    assert found["torque_nm"] == pytest.approx(0.01 * np.hypot(0.3, 0.2))
+    assert found["phase_rad"] == pytest.approx(np.arctan2(0.2, 0.3))
+
+
 @pytest.mark.parametrize(
     "phase_rad", [0.7, -0.8, *(pytest.param(it, marks=pytest.mark.long) for it in (0.0, 1.5))]
 )

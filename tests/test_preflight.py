@@ -13,7 +13,7 @@ from drivers.canopen.profile import Gain, Gains, Shaping, generic
 from servo_bench.cli.app import app
 from servo_bench.excitation.experiment import Experiment, MSequence, RandomBinary
 from servo_bench.excitation.prediction import predict
-from servo_bench.rig import RigConfig, load_rig
+from servo_bench.rig import RigConfig, load_rig, rig_from_table
 from servo_bench.run import preflight_read
 from servo_bench.run.finding import Finding, Level
 from servo_bench.run.preflight import preflight
@@ -75,6 +75,22 @@ def test_a_long_schedule_is_predicted_to_its_end(
     monkeypatch.setattr("servo_bench.excitation.prediction.SLOTS_AT_ONCE", 100)
     in_pieces = predict(schedule, rig)
     assert asdict(in_pieces) == pytest.approx(asdict(at_once), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("heartbeat_s", "timeout_s", "refused"),
+    [(0.1, 0.3, False), (0.1, 0.15, False), (0.1, 0.105, True), (0.3, 0.3, True)],
+)
+def test_a_master_whose_heartbeat_comes_too_late_is_refused_and_its_file_is_read(
+    rig: RigConfig, heartbeat_s: float, timeout_s: float, refused: bool
+) -> None:
+    times = {"heartbeat_s": heartbeat_s, "heartbeat_timeout_s": timeout_s}
+    table = rig.model_dump(mode="json")
+    slow = rig_from_table({**table, "drive": {**table["drive"], **times}}, "a recording's")
+    found = by_subject(preflight(experiment(), slow))
+    assert ("period and line" in found) is refused
+    if refused:
+        assert "heartbeat_timeout_s" in found["period and line"].text
 
 
 def test_a_memory_that_a_run_would_refuse_is_refused_before(rig: RigConfig) -> None:

@@ -16,7 +16,7 @@ from drivers.canopen.node import NMT_STOP
 from drivers.canopen.settings import CanopenSettings
 from drivers.canopen.stopline import CanopenStopLine
 from drivers.clock import SYSTEM_CLOCK
-from drivers.errors import DriveError, DriverError
+from drivers.errors import DriveError, DriverError, WireError
 from drivers.modbus.link import Reply
 from drivers.modbus.stopping import stop_over
 from servo_bench.errors import DriveError as BenchDriveError
@@ -147,6 +147,27 @@ def test_a_stop_whose_answer_is_lost_is_tried_again_by_a_node_that_hears(
     assert line.stop() is None
     assert not rig.powered
     assert (0x000, bytes((NMT_STOP, 1))) not in rig.sent
+
+
+def test_nmt_stop_goes_out_where_the_second_connection_fails(
+    turning: tuple[VirtualRig, CanopenAxis], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig, _ = turning
+    swallow(rig, 1000)
+    line = CanopenStopLine(rig.canopen_settings(), rig.clock())
+    connect, made = line._connect, [0]
+
+    def busy() -> Any:
+        made[0] += 1
+        if made[0] == 2:
+            raise WireError("the adapter is busy.")
+        return connect()
+
+    monkeypatch.setattr(line, "_connect", busy)
+    problem = line.stop() or ""
+    assert "did not answer an SDO" in problem
+    assert "the adapter is busy" in problem
+    assert rig.sent[-1] == (0x000, bytes((NMT_STOP, 1)))
 
 
 def test_nmt_stop_is_the_last_word_to_a_drive_that_answers_nothing(

@@ -73,7 +73,7 @@ class Cycle:
         self._drive = drive
         self._timeout_s = settings.answer_timeout_s
         self._command_every = settings.command_every
-        self._last_block = -1
+        self._last_block, self._sent_rad_s = -1, math.nan
         self._follows = settings.sync_by_drive
         self._sync_patience_s = max(SYNC_PATIENCE_S, 3 * settings.period_s)
         self._armed: tuple[int, float] | None = None
@@ -181,7 +181,8 @@ class Cycle:
     def ask(self, velocity_rad_s: float, slot: int) -> int:
         """Send controlword and velocity, then SYNC; returns the time just before the SYNC.
 
-        Of `command_every` slots only the first sends a command; the master's own, below 0, all.
+        Of `command_every` slots only the first sends a command, and one that commands something
+        else; the master's own, below 0, all.
         Where the drive produces SYNC this waits for it, and returns when it came: WireError where
         none does.
         """
@@ -195,9 +196,9 @@ class Cycle:
             ) from error
         try:
             block = slot // self._command_every
-            if slot < 0 or block != self._last_block:
+            if slot < 0 or block != self._last_block or velocity_rad_s != self._sent_rad_s:
                 self._bus.send(self._command)
-                self._last_block = block
+                self._last_block, self._sent_rad_s = block, velocity_rad_s
             now_ns = self._now_ns()
             if not self._follows:
                 self._bus.send(self._sync)

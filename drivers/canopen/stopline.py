@@ -27,7 +27,7 @@ from drivers.canopen.settings import CanopenSettings
 from drivers.canopen.stopping import stop_by_sdo
 from drivers.canopen.watch import Watch
 from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import DriverError, WireError
+from drivers.errors import DriverError
 
 SHARED_BUSES = frozenset({"socketcan", "socketcand", "udp_multicast"})
 """Interfaces of python-can on which every process may have a connection of its own."""
@@ -124,20 +124,21 @@ class CanopenStopLine:
 
         NMT stop is the last word of all: a node that is stopped so hears neither PDO nor SDO.
         """
-        reason = ""
+        reasons: list[str] = []
         for _ in range(_ATTEMPTS):
-            if reason:
-                self.close()
             try:
                 if self._line is None:
                     self._line = self._connect()
                 if self._stop(self._line):
                     return None
-                reason = "it still says that it is powered"
+                reasons.append("it still says that it is powered")
             except DriverError as error:
-                reason = str(error).rstrip(".")
+                reasons.append(str(error).rstrip("."))
+                if len(reasons) < _ATTEMPTS:
+                    self.close()
         self._last_word()
         self.close()
+        reason = "; ".join(dict.fromkeys(reasons))
         drive = self._settings.drive
         own_stop = (
             "it does not watch its master (drive.without_watchdog)"
@@ -178,10 +179,9 @@ class CanopenStopLine:
         return [drive_id, encoder.node.node_id] if encoder else [drive_id]
 
     def _last_word(self) -> None:
-        if self._line is not None:
-            with suppress(WireError):
-                drive_id = self._settings.drive.node.node_id
-                self._line.send(0x000, bytes((NMT_STOP, drive_id)))
+        with suppress(DriverError):
+            line = self._line = self._line or self._connect()
+            line.send(0x000, bytes((NMT_STOP, self._settings.drive.node.node_id)))
 
     def close(self) -> None:
         """See `StopLine.close`."""

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import uniform_filter1d
 
 from servo_bench.diagnosis.comparing.comparison import Comparison, Signal
@@ -23,6 +22,9 @@ BURST_S = 0.032
 FAST_SHARE, FAST, SPOILT_RAD = 0.99, 4.0, 0.05
 """Of a recording's rows those that turn least are no faster than its fastest; so many times that,
 and so much, no angle leaves its neighbours by and comes back."""
+LEAVES = 0.75
+"""Of what it is beyond at last: the step to its first row at least, where its neighbours are alike
+to half of that."""
 FINEST_QUANTUM_RAD, COARSEST_QUANTUM_RAD = 1.5e-4, 3e-3
 FEWEST_ROWS = 200
 FARTHEST_RAD = 250.0
@@ -64,12 +66,14 @@ def without_spoilt_words(recording: Recording, gap_rad: float) -> Recording:
     """
     longest = max(1, round(BURST_S / recording.period_s))
     channels = dict(recording.channels)
+    asked = channels.get("velocity_command_rad_s", np.zeros(1))
+    commanded = recording.period_s * float(np.nanmax(np.abs(asked), initial=0.0))
     for name in ("motor_position_rad", "load_angle_rad"):
         angle = np.array(channels[name], np.float64) if name in channels else np.zeros(0)
         if np.count_nonzero(np.isfinite(angle)) < FEWEST_ROWS:
             continue
         turned = np.abs(np.diff(angle))
-        fastest = float(np.nanquantile(turned, FAST_SHARE))
+        fastest = max(commanded, float(np.nanquantile(turned, FAST_SHARE)))
         rows = np.arange(1.0, longest + 1.0)
         beyond = FAST * fastest * (rows + 1.0) + 1.5 * gap_rad + SPOILT_RAD
         spoilt = _there_and_back(angle, np.asarray(beyond, np.float64))
@@ -82,15 +86,16 @@ def _there_and_back(values: Array, beyond: Array) -> Mask:
     """Where so many rows in a row, 1 to `beyond.size`, leave their neighbours to one side by more
     than that, and those are alike; shape (rows,)."""
     found = np.zeros(values.size, np.bool_)
+    left = np.abs(np.diff(values)) > LEAVES * float(beyond.min())
+    starts = np.flatnonzero(left) + 1
     for rows, least_off in enumerate(beyond.tolist(), 1):
-        if values.size < rows + 2:
-            break
-        before, after = values[: -rows - 1], values[rows + 1 :]
-        off = sliding_window_view(values[1:-1], rows) - 0.5 * (before + after)[:, None]
+        at = starts[starts + rows < values.size]
+        before, after = values[at - 1], values[at + rows]
+        off = values[at[:, None] + np.arange(rows)] - 0.5 * (before + after)[:, None]
         least = np.where(np.abs(np.sign(off).sum(axis=1)) == rows, np.abs(off).min(axis=1), 0.0)
         back = np.abs(after - before) < 0.5 * least
-        for first in np.flatnonzero(back & (least > least_off)):
-            found[first + 1 : first + 1 + rows] = True
+        for first in at[back & (least > least_off)]:
+            found[first : first + rows] = True
     return found
 
 

@@ -130,11 +130,19 @@ def at_phase(trial: Trial, model: Model, amounts: Array) -> Trial:
     strength = next(iter(trial.settings))
     tried = float(trial.settings[strength]) ** power
     params = model.effects.get(trial.effect)
-    now = 0j if params is None else _wave(params, strength, power) / tried
+    alike = params is not None and _is_of_one_order(params, trial, strength)
+    now = _wave(params, strength, power) / tried if alike else 0j
     made = now + amounts[0] * (1.0 - now) + amounts[1] * (1j - now)
     scaled = trial.times(float(np.clip(abs(made) ** (1.0 / power), 0.02, 20.0)))
     settings = {**scaled.settings, "phase_rad": float(np.angle(made)) / power}
     return replace(scaled, settings=settings)
+
+
+def _is_of_one_order(params: Any, trial: Trial, strength: str) -> bool:
+    """Whether a wave is the trial's but for size and phase: another order's is no way to it."""
+    free = {strength, "phase_rad"}
+    told = {name: value for name, value in trial.settings.items() if name not in free}
+    return all(float(getattr(params, name)) == float(value) for name, value in told.items())
 
 
 def _wave(params: Any, strength: str, power: int) -> complex:

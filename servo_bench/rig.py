@@ -4,6 +4,7 @@
 their settings. Reader's units are accepted in every table (`backlash_gap_deg = 1.5`).
 """
 
+import math
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Self
@@ -146,12 +147,13 @@ class RigConfig(Value):
                 "computer's pace, not at the drive's. Set drive.sync = \"master\"."
             )
         drive = self.drive.settings()
-        beats = drive.profile.stopping.watchdog == "heartbeat"
-        if beats and drive.heartbeat_timeout_s <= drive.heartbeat_s + period_s:
+        every_s = period_s * math.ceil(drive.heartbeat_s / period_s)  # with a command
+        watched = drive.profile.stopping.watchdog == "heartbeat"
+        if watched and drive.heartbeat_timeout_s <= every_s:
             raise ConfigError(
                 f"drive.heartbeat_timeout_s = {drive.heartbeat_timeout_s:g} s, and heartbeats go "
-                f"out every {drive.heartbeat_s:g} s, with a command, so up to {period_s:g} s "
-                "later: the drive would take its master for lost. Lower drive.heartbeat_s, or "
+                f"out every {every_s:g} s (drive.heartbeat_s = {drive.heartbeat_s:g}, each with a "
+                "command): the drive would take its master for lost. Lower drive.heartbeat_s, or "
                 "raise drive.heartbeat_timeout_s."
             )
         with gathered():

@@ -79,7 +79,7 @@ def test_a_long_schedule_is_predicted_to_its_end(
 
 @pytest.mark.parametrize(
     ("heartbeat_s", "timeout_s", "refused"),
-    [(0.1, 0.3, False), (0.1, 0.15, False), (0.1, 0.105, True), (0.3, 0.3, True)],
+    [(0.1, 0.3, False), (0.1, 0.15, False), (0.1, 0.104, True), (0.3, 0.3, True)],
 )
 def test_a_master_whose_heartbeat_comes_too_late_is_refused_and_its_file_is_read(
     rig: RigConfig, heartbeat_s: float, timeout_s: float, refused: bool

@@ -83,9 +83,10 @@ def as_played(sequence: "Played | str") -> Played:
 
 
 def need_resolvable(played: Played, memory: int) -> None:
-    """Raise FitError for a memory in which the sequence cannot tell elements apart."""
+    """Raise FitError for a memory in which a binary sequence cannot tell elements apart; a field's
+    extraction says it itself."""
     limit = played.resolvable_memory
-    if memory > limit:
+    if played.kind != "field" and memory > limit:
         raise FitError(
             f"memory {memory} is beyond what {played.polynomial} can resolve: different kernel "
             f"elements fall on the same shift from {limit + 1} samples on. Use a memory of at most "

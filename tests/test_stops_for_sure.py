@@ -241,5 +241,5 @@ def test_a_modbus_drive_that_takes_no_velocity_is_stopped_and_disabled_all_the_s
     link = Deaf(target)
     with pytest.raises((DriverError, StopIteration)):
         stop_over(link, settings, SYSTEM_CLOCK)  # type: ignore[arg-type]
-    stop = settings.drive.profile.stop[0]
-    assert link.wrote[:2] == [target, items[stop.write].address]
+    told = (settings.drive.profile.stop[0], settings.drive.profile.disable[0])
+    assert link.wrote == [target, *(items[step.write].address for step in told)]

@@ -49,7 +49,7 @@ def stop_over(link: Link, settings: ModbusSettings, clock: Clock) -> str | None:
     """Bring the drive to rest and power it off; what is wrong, or None when it is confirmed.
 
     Raises WireError where the line fails, DriveError where the drive refuses to stop or to be
-    disabled; whatever it refuses, what comes after is sent all the same.
+    disabled; whatever it refuses before, it is told to be disabled.
     """
     link.abandon()
     registers = Registers(link, settings, clock)

@@ -13,7 +13,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_bench.errors import FitError
 from servo_bench.excitation.fields import field_sequence
 from servo_bench.excitation.msequence import m_sequence
 from servo_bench.excitation.sequences import inverse_repeat
@@ -21,7 +20,7 @@ from servo_bench.kernels.labels import ElementLabels, element_labels, level_labe
 from servo_bench.kernels.levels import extract_levels, level_memory
 from servo_bench.kernels.separation import extract_inverse_repeat
 from servo_bench.kernels.shifts import collision_free_memory
-from servo_bench.kernels.volterra import Kernels, extract
+from servo_bench.kernels.volterra import Kernels, check_memory, extract
 
 Array = NDArray[np.float64]
 
@@ -85,10 +84,6 @@ def as_played(sequence: "Played | str") -> Played:
 def need_resolvable(played: Played, memory: int) -> None:
     """Raise FitError for a memory in which a binary sequence cannot tell elements apart; a field's
     extraction says it itself."""
-    limit = played.resolvable_memory
-    if played.kind != "field" and memory > limit:
-        raise FitError(
-            f"memory {memory} is beyond what {played.polynomial} can resolve: different kernel "
-            f"elements fall on the same shift from {limit + 1} samples on. Use a memory of at most "
-            f"{limit}, or a polynomial of a higher degree."
-        )
+    if played.kind != "field":
+        mirrored = played.kind == "inverse-repeat"
+        check_memory(played.polynomial, memory, inverse_repeat=mirrored)

@@ -26,7 +26,7 @@ from servo_bench.errors import FitError
 from servo_bench.excitation.msequence import m_sequence
 from servo_bench.kernels.volterra import (
     Kernels,
-    check_inverse_repeat_memory,
+    check_memory,
     extract,
     extract_orders,
 )
@@ -136,7 +136,7 @@ def extract_inverse_repeat(
         )
     first, second = periods[:, :chips], periods[:, chips:]
     signs = 1.0 - 2.0 * (np.arange(chips) % 2)
-    check_inverse_repeat_memory(polynomial, memory)
+    check_memory(polynomial, memory, inverse_repeat=True)
     asked = (polynomial, amplitude, memory)
     odd = extract_orders(signs * (first - second) / 2.0, *asked, (1, 3), period_s=period_s)
     even = extract_orders((first + second) / 2.0, *asked, (2,), period_s=period_s)

@@ -155,15 +155,10 @@ def extract(
     reach first. ConfigError where the polynomial is not primitive; FitError where the memory is
     beyond the collision-free one or the response is not finite or not whole periods.
     """
-    _check_memory(polynomial, memory, order)
+    check_memory(polynomial, memory, order)
     return extract_orders(
         *(response_periods, polynomial, amplitude, memory), ORDERS[:order], period_s=period_s
     )
-
-
-def check_inverse_repeat_memory(polynomial: str, memory: int) -> None:
-    """FitError as `extract`, where odd and even orders answer apart."""
-    _check_memory(polynomial, memory, max(ORDERS), inverse_repeat=True)
 
 
 def extract_orders(
@@ -224,9 +219,11 @@ def _kurtosis(values: Array) -> float:
     return float(np.mean(values**4)) / square**2 if square > 0.0 else 3.0
 
 
-def _check_memory(
-    polynomial: str, memory: int, order: int, *, inverse_repeat: bool = False
+def check_memory(
+    polynomial: str, memory: int, order: int = max(ORDERS), *, inverse_repeat: bool = False
 ) -> None:
+    """FitError for a memory in which an M-sequence, or what is played of it as an inverse repeat,
+    cannot tell elements apart."""
     if order not in ORDERS:
         raise FitError(f"kernels of order {order} were asked for: orders {ORDERS} are measured.")
     if memory < 1:

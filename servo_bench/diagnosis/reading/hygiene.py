@@ -20,8 +20,8 @@ WILD = 12.0
 BURST_S = 0.032
 """How long they are: interference spoils a few words in a row."""
 FAST_SHARE, FAST, SPOILT_RAD = 0.99, 4.0, 0.05
-"""Of a recording's rows those that turn least are no faster than its fastest; so many times that,
-and so much, no angle leaves its neighbours by and comes back."""
+"""What most rows turn at most, or the largest command asks of one: by so many times that, and so
+much, no angle leaves its neighbours and comes back."""
 LEAVES = 0.75
 """Of what it is beyond at last: the step to its first row at least, where its neighbours are alike
 to half of that."""

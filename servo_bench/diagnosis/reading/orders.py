@@ -98,7 +98,7 @@ class _Loop(NamedTuple):
 
     @classmethod
     def seen(cls, comparison: Comparison, model: Model) -> "_Loop":
-        """Of the first piece's beginning."""
+        """Of the longest piece's beginning."""
         rows, piece = comparison.source.rows, comparison.longest
         piece = piece._replace(last=min(piece.last, piece.first + MOST_ROWS))
         period_s = rows.period_s

@@ -57,7 +57,7 @@ class Regular(NamedTuple):
 def resting(
     comparison: Comparison, model: Model, *, held_out: bool = False, fewest: int = FEWEST
 ) -> Resting | None:
-    """Of the first piece, rows that a fit may see or those that are `held_out`; None without both
+    """Of the longest piece, rows that a fit may see or those that are `held_out`; None without both
     encoders, or with too few."""
     rows, piece = comparison.source.rows, comparison.longest
     if not (rows.has("load_angle_rad") and rows.has("motor_position_rad")):

@@ -100,7 +100,6 @@ def diagnose(
             only=alone,
             report=told,
         )
-    _show(found.verdict)
     if json is not None:
         write_json(json, found.verdict.numbers())
     if report is not None:
@@ -109,6 +108,7 @@ def diagnose(
         rig_of = partial(extended_rig, config)
         _write_model(rig_out, found.verdict, lambda verdict: rig_text(rig_of(verdict)))
     _write_model(model_out, found.verdict, lambda verdict: model_text(found_model(verdict)))
+    _show(found.verdict)  # after what was to be written: a reader of it may go away
     for path in (json, report, rig_out, model_out):
         if path is not None and path.exists():
             Console().print(f"written: {escape(str(path))}", soft_wrap=True)

@@ -14,9 +14,12 @@ from servo_bench.cli import app as cli
 from servo_bench.diagnosis.fitting.model_file import load_model, model_text
 from servo_bench.diagnosis.judging.extended import extended_rig, rig_text
 from servo_bench.diagnosis.judging.undecided import (
+    RECOMMENDED,
+    REPEAT,
     check_alike,
     open_questions,
     undecided,
+    what_next,
     without_the_motor_s_angle,
 )
 from servo_bench.diagnosis.judging.verdict import Verdict
@@ -70,6 +73,7 @@ def run(*words: object) -> str:
     return str(found.exception)
 
 
+@pytest.mark.long
 def test_the_hidden_cause_is_named_and_told(done: Done) -> None:
     assert done.verdict.names == ("cogging",)
     assert done.verdict.sentence in done.output.replace("\n", " ")
@@ -277,3 +281,24 @@ def test_one_size_of_command_leaves_a_question_open(command: list[float], single
     values = np.random.default_rng(3).choice(command, 400)
     recording = Recording({"velocity_command_rad_s": values}, 0.001, None, None, {})
     assert any("single size" in s for s in open_questions(recording)) is single
+
+
+def test_after_whatever_is_open_or_unknown_there_is_a_next_run() -> None:
+    many, one = (np.tile(np.repeat(levels, 3), 300) for levels in ([-4.0, -2.0, 2.0], [3.0, -3.0]))
+    turns, rocks = (
+        Recording(
+            {"velocity_command_rad_s": it, "load_angle_rad": 0.008 * np.cumsum(it)},
+            0.008,
+            None,
+            None,
+            {},
+        )
+        for it in (many, one)
+    )
+    none = Verdict(verdict="none", sentence="")
+    unknown = none.model_copy(update={"verdict": "unknown"})
+    split = unknown.model_copy(update={"next_run": "with another load"})
+    assert what_next(none, turns) == ""
+    assert what_next(unknown, turns) == REPEAT
+    assert what_next(none, rocks) == what_next(unknown, rocks) == RECOMMENDED
+    assert what_next(split, rocks) == "with another load"

@@ -8,7 +8,12 @@ import pytest
 from servo_bench.diagnosis.comparing.allowance import allowed
 from servo_bench.diagnosis.comparing.comparison import Comparison, compare
 from servo_bench.diagnosis.comparing.evidence import SCALES, block_z
-from servo_bench.diagnosis.reading.hygiene import lattice, wild_samples, without_spoilt_words
+from servo_bench.diagnosis.reading.hygiene import (
+    lattice,
+    spoilt_words,
+    wild_samples,
+    without_spoilt_words,
+)
 from servo_bench.diagnosis.reading.orders import motor_lines, torque_waves
 from sim_rig.model import Model
 from tests.fit_recordings import NOMINAL, nominal_with, recorded, with_channels
@@ -56,6 +61,8 @@ def test_a_word_that_no_motion_can_be_did_not_come(channel: str) -> None:
     kept = without_spoilt_words(with_channels(run, **{channel: spoilt}), GAP_RAD)[channel]
     assert np.flatnonzero(np.isnan(kept)).tolist() == [300, 500, 501, 502]
     assert np.nanmax(np.abs(kept[:700] - angle[:700])) == 0.0
+    counted = [spoilt_words(with_channels(run, **{channel: it}), GAP_RAD) for it in (angle, spoilt)]
+    assert counted == [0, 4]
 
 
 def test_a_recording_that_mostly_rests_loses_no_motion() -> None:

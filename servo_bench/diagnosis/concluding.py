@@ -15,7 +15,12 @@ from servo_bench.diagnosis.elsewhere import Shown, is_open, judge_open
 from servo_bench.diagnosis.judging.excitations import check_apart, same_commands
 from servo_bench.diagnosis.judging.judgement import verdict_of
 from servo_bench.diagnosis.judging.picture import picture
-from servo_bench.diagnosis.judging.undecided import check_alike, open_questions, undecided
+from servo_bench.diagnosis.judging.undecided import (
+    check_alike,
+    open_questions,
+    undecided,
+    what_next,
+)
 from servo_bench.diagnosis.judging.verdict import Verdict
 from servo_bench.diagnosis.searching.finding import Finding, nothing_told
 from servo_bench.diagnosis.searching.rounds import Told
@@ -84,8 +89,13 @@ def conclude(
 def _told(finding: Finding) -> Verdict:
     """The verdict on a finding, with its picture and what this excitation leaves open."""
     verdict = verdict_of(finding)
-    open_still = (*verdict.undecided, *open_questions(finding.recordings[0]))
-    return verdict.model_copy(update={"signature": picture(finding), "undecided": open_still})
+    first = finding.recordings[0]
+    more = {
+        "signature": picture(finding),
+        "undecided": (*verdict.undecided, *open_questions(first)),
+        "next_run": what_next(verdict, first),
+    }
+    return verdict.model_copy(update=more)
 
 
 def _open_still(verdict: Verdict, more: tuple[str, ...]) -> Verdict:

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from servo_bench.diagnosis.comparing.rows import Array, Mask
+from servo_bench.diagnosis.comparing.rows import Mask
 from servo_bench.diagnosis.fitting.free import unit_of
 from servo_bench.diagnosis.judging.broken import Rig, broken
 from servo_bench.diagnosis.judging.causes import causes_of
@@ -55,7 +55,6 @@ UNSURE = 0.79
 """Confidence up to which a cause has no name: of 201 that were named on development seeds the three
 that had less were wrong, and of those that were right none had."""
 FEWEST_WILD = 3
-FULL_TURN = 2.0 * np.pi
 
 
 def verdict_of(finding: Finding) -> Verdict:
@@ -225,16 +224,6 @@ def _undecided(finding: Finding) -> Iterator[str]:
     first = finding.recordings[0]
     yield from without_the_motor_s_angle(first)
     yield from without_the_load_s_angle(first)
-    if "load_angle_rad" in first and 0.0 < _travel(first["load_angle_rad"]) < FULL_TURN:
-        yield (
-            "The load made less than a full turn: what repeats with its angle (eccentricity, "
-            "weight, misalignment) cannot be told from what does not. Add a bias to the excitation."
-        )
-
-
-def _travel(angle: Array) -> float:
-    known = angle[np.isfinite(angle)]
-    return float(np.ptp(known)) if known.size else 0.0
 
 
 def _nominal(model: Model) -> dict[str, float]:

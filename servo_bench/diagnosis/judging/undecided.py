@@ -20,11 +20,17 @@ COMMAND = "velocity_command_rad_s"
 ENOUGH_S = 10.0
 """Below this, identification and validation together are short for any effect."""
 SLOW_PERIOD_S, LOGGERS = 0.004, 2.0
+FULL_TURN = 2.0 * np.pi
 SAME_SIZE = 0.02
 """Sizes of a command that differ by less are one."""
 RECOMMENDED = (
     "Run what `servo-bench design diagnosis --rig RIG.toml -o EXPERIMENT.toml` writes: several "
     "velocities, full turns, a validation of its own."
+)
+
+REPEAT = (
+    "Play this run once more as it is: what comes again is the rig's own, what does not is the "
+    "measurement's, or comes from outside. Then once with one thing changed: the load, or the size."
 )
 
 MEND = (
@@ -159,14 +165,38 @@ def _changes(recordings: Sequence[Recording], names: Sequence[str]) -> bool:
 
 def open_questions(recording: Recording) -> Iterator[str]:
     """What this excitation cannot decide, whatever the rig, and what would."""
-    there = _signals(recording)
-    if COMMAND in there:
-        yield from _of_the_command(np.asarray(recording[COMMAND], np.float64))
+    yield from _of_the_excitation(recording)
     if recording.period_s > SLOW_PERIOD_S:
         yield (
             f"At a period of {recording.period_s * 1e3:g} ms short delays and lags in the drive, "
             "below some 0.2 ms, look alike. Command and log at 1 kHz where the drive allows it."
         )
+
+
+def _of_the_excitation(recording: Recording) -> Iterator[str]:
+    """What another excitation would show."""
+    if COMMAND in _signals(recording):
+        yield from _of_the_command(np.asarray(recording[COMMAND], np.float64))
+    if "load_angle_rad" in recording and 0.0 < _travel(recording["load_angle_rad"]) < FULL_TURN:
+        yield (
+            "The load made less than a full turn: what repeats with its angle (eccentricity, "
+            "weight, misalignment) cannot be told from what does not. Add a bias to the excitation."
+        )
+
+
+def _travel(angle: np.ndarray) -> float:
+    known = angle[np.isfinite(angle)]
+    return float(np.ptp(known)) if known.size else 0.0
+
+
+def what_next(verdict: Verdict, recording: Recording) -> str:
+    """The run that would decide more: that which splits what is named; else one that excites what
+    this one did not; else, where nothing explains it, the same once more. Empty for none."""
+    if verdict.next_run:
+        return verdict.next_run
+    if any(_of_the_excitation(recording)):
+        return RECOMMENDED
+    return REPEAT if verdict.verdict == "unknown" else ""
 
 
 def without_the_load_s_angle(recording: Recording) -> Iterator[str]:

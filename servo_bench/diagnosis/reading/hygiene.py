@@ -27,6 +27,7 @@ LEAVES = 0.75
 to half of that."""
 FINEST_QUANTUM_RAD, COARSEST_QUANTUM_RAD = 1.5e-4, 3e-3
 FEWEST_ROWS = 200
+ANGLES = ("motor_position_rad", "load_angle_rad")
 FARTHEST_RAD = 250.0
 """From the middle of its angles, that is looked at: its histogram and spectrum have half a GB. A
 word that the line spoilt lies farther off."""
@@ -68,7 +69,7 @@ def without_spoilt_words(recording: Recording, gap_rad: float) -> Recording:
     channels = dict(recording.channels)
     asked = channels.get("velocity_command_rad_s", np.zeros(1))
     commanded = recording.period_s * float(np.nanmax(np.abs(asked), initial=0.0))
-    for name in ("motor_position_rad", "load_angle_rad"):
+    for name in ANGLES:
         angle = np.array(channels[name], np.float64) if name in channels else np.zeros(0)
         if np.count_nonzero(np.isfinite(angle)) < FEWEST_ROWS:
             continue
@@ -80,6 +81,14 @@ def without_spoilt_words(recording: Recording, gap_rad: float) -> Recording:
         if spoilt.any():
             channels[name] = np.where(spoilt, np.nan, angle)
     return replace(recording, channels=channels)
+
+
+def spoilt_words(recording: Recording, gap_rad: float) -> int:
+    """How many angles `without_spoilt_words` takes for such."""
+    kept = without_spoilt_words(recording, gap_rad)
+    there = [name for name in ANGLES if name in recording]
+    missing = [int(np.isnan(one[name]).sum()) for one in (kept, recording) for name in there]
+    return sum(missing[: len(there)]) - sum(missing[len(there) :])
 
 
 def _there_and_back(values: Array, beyond: Array) -> Mask:

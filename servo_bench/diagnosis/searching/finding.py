@@ -39,6 +39,7 @@ from servo_bench.diagnosis.reading.crossing import crossing_s
 from servo_bench.diagnosis.reading.hygiene import (
     Lattice,
     lattice,
+    spoilt_words,
     wild_samples,
     without_spoilt_words,
 )
@@ -247,7 +248,7 @@ def find_causes(
         doubts=doubts(whole, final, named, band, {h.effect for h in candidates}),
         misfit_before=before,
         misfit_after=misfit(whole, final.errors, _beside(whole, final.model, scales, grid)),
-        notes=(*ready.notes, *_of_the_rows(came, rows)),
+        notes=(*ready.notes, *_of_the_rows(came, rows), *_of_words(came, model)),
         seconds=time.perf_counter() - began,
     )
 
@@ -367,6 +368,17 @@ def _of_the_rows(came: Recording, rows: int) -> tuple[str, ...]:
     return (
         f"Commands lasted for {rows} rows or multiples of them: of so many one was judged, every "
         f"{rows * came.period_s * 1e3:g} ms.",
+    )
+
+
+def _of_words(came: Recording, model: Model) -> tuple[str, ...]:
+    """How many words the line spoilt in the first recording, where it did."""
+    spoilt = spoilt_words(came, model.nominal.backlash_gap_rad)
+    if not spoilt:
+        return ()
+    return (
+        f"{spoilt} {'angle is' if spoilt == 1 else 'angles are'} what no motion of this rig is, "
+        "and right again in the next rows: passed over. Look at the encoder's line.",
     )
 
 

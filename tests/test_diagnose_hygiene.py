@@ -91,6 +91,14 @@ def test_a_coarse_angle_is_measured_by_its_lattice() -> None:
     assert lattice(compared(MODEL, 14), MODEL) is None
 
 
+@pytest.mark.parametrize("quantum_rad", [2.55385e-3, 2.59231e-3, 2.74615e-3])
+def test_where_a_multiple_lies_better_in_the_bins_the_lattice_is_told(quantum_rad: float) -> None:
+    coarse = MODEL.with_effect("quantisation", count_rad=quantum_rad)
+    found = lattice(compare(recorded(coarse, 31, slots=1000), MODEL, scales=SCALES), MODEL)
+    assert found is not None
+    assert found.quantum_rad == pytest.approx(quantum_rad, rel=1e-4)
+
+
 def test_a_lattice_is_as_far_from_its_quantum_as_it_says() -> None:
     off = []
     for seed, quantum_rad in enumerate(np.geomspace(3.4e-4, 1.5e-3, 12).tolist(), 900):

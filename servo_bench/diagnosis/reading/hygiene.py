@@ -147,15 +147,26 @@ def lattice(comparison: Comparison, model: Model) -> Lattice | None:
         return None
     frequency = float(frequencies[stands_out][np.argmax(score[stands_out])])
     centred = angle - angle.mean()
-    near, step = np.linspace(frequency - 0.5 / travel, frequency + 0.5 / travel, 101, retstep=True)
-    refined = np.abs(np.exp(2j * np.pi * np.outer(near, centred)).mean(axis=1))
-    frequency, clear = float(near[np.argmax(refined)]), float(refined.max())
+    frequency, clear, step = _refined(centred, frequency, travel)
+    # a lattice is as clear at its multiples, and bins may lie better there
+    for coarser in frequency / np.arange(2, int(frequency / lowest) + 1):
+        at = np.abs(frequencies - coarser) < 1.0 / travel
+        if score[at].max(initial=0.0) > HALF * clear:
+            found = _refined(centred, coarser, travel)
+            frequency, clear, step = max((frequency, clear, step), found, key=lambda it: it[1])
     of_command = _of_command(shown, frequency, travel)
     expected = _as_clear_as(1.0 / frequency, comparison.signals, rows.period_s)
     binned = float(score[stands_out].max())  # where the bins alone make it, the angle has it not
     if of_command > HALF * clear or clear < HALF * max(expected, binned):
         return None
     return Lattice(1.0 / frequency, _spread(centred, clear, float(step)) / frequency**2, clear)
+
+
+def _refined(centred: Array, frequency: float, travel: float) -> tuple[float, float, float]:
+    """Where within half a bin a lattice is clearest, 1/rad, how clear, and the grid's step."""
+    near, step = np.linspace(frequency - 0.5 / travel, frequency + 0.5 / travel, 101, retstep=True)
+    clear = np.abs(np.exp(2j * np.pi * np.outer(near, centred)).mean(axis=1))
+    return float(near[np.argmax(clear)]), float(clear.max()), float(step)
 
 
 def _near_the_middle(angle: Array) -> Mask:

@@ -77,7 +77,8 @@ class SimulatedConfig(Value):
     seed: int = Field(default=0, ge=0)
     """Seed of the encoders' noise and of what moves."""
     effects: EffectTables = Field(default_factory=dict)
-    """What the software rig has besides, or instead of, the rig's own `[effects]`."""
+    """What the software rig has besides, or instead of, the rig's own `[effects]`; not beside a
+    plant of your own, which has neither."""
     load_encoder_noise_rad: float = Field(default=0.0, ge=0.0)
     """White noise of the load's encoder before it is counted, rms, rad."""
     motor_encoder_noise_rad: float = Field(default=0.0, ge=0.0)
@@ -260,6 +261,7 @@ class RigConfig(Value):
         if simulated.backlash_gap_rad is not None:
             nominal["backlash_gap_rad"] = simulated.backlash_gap_rad
         encoder = self.encoder
+        load = encoder or self.drive.second_encoder
         with gathered():
             return RigSettings(
                 nominal=Nominal(**nominal),
@@ -276,7 +278,7 @@ class RigConfig(Value):
                 ),
                 load_counts_per_revolution=self.load_counts_per_revolution or 65536,
                 plant=simulated.plant,
-                effects=self.effects | simulated.effects if simulated.plant == OWN_MODEL else {},
+                effects=(self.effects if simulated.plant == OWN_MODEL else {}) | simulated.effects,
                 seed=simulated.seed,
                 load_encoder_noise_rad=simulated.load_encoder_noise_rad,
                 motor_encoder_noise_rad=simulated.motor_encoder_noise_rad,
@@ -284,6 +286,9 @@ class RigConfig(Value):
                 drive_temperature_c=simulated.drive_temperature_c,
                 faults=simulated.faults,
                 counter=self._simulated_counter(),
+                gear_ratio=self.drive.gear_ratio,
+                motor_direction=self.drive.direction,
+                load_direction=load.direction if load else 1,
             )
 
     def _simulated_counter(self) -> SimulatedCounter | None:
@@ -315,6 +320,12 @@ class RigConfig(Value):
     def on_a_free_port(self) -> "RigConfig":
         """The same rig, its software stand-in choosing a free port, where the bus has one."""
         return self.with_bus(port=0) if "port" in self.bus else self
+
+    def as_simulated(self, **bus: str | int | float | bool) -> "RigConfig":
+        """The rig that its software stand-in is, on the bus that it told: no filter is in front of
+        its torque."""
+        drive = self.drive.model_copy(update={"torque_filter_s": 0.0})
+        return self.with_bus(**bus).model_copy(update={"drive": drive})
 
     def with_bus(self, **options: str | int | float | bool) -> "RigConfig":
         """The same rig on another bus, or on another port of it.

@@ -29,6 +29,7 @@ from sim_rig.counter.line import in_a_thread
 from sim_rig.counter.settings import CounterSettings
 from sim_rig.errors import RigSettingsError, SimRigError
 from sim_rig.model import Model
+from sim_rig.mounted import mounted
 from sim_rig.plant import Plant
 from sim_rig.realtime import end_with_parent, run_in_real_time
 from sim_rig.settings import (
@@ -49,14 +50,15 @@ PlantFactory = Callable[[Nominal, int], Plant]
 
 
 def plant_of(settings: RigSettings) -> Plant:
-    """What moves: the rig's own model with its effects, or what a named factory makes.
+    """What moves, as the devices sit on it: the model with its effects, or what a factory makes.
 
     Raises RigSettingsError or EffectError where there is no such thing.
     """
     if settings.plant == OWN_MODEL:
-        return Model.from_table(settings.nominal, settings.effects).plant(settings.seed)
+        model = Model.from_table(settings.nominal, settings.effects)
+        return mounted(model.plant(settings.seed), settings)
     try:
-        return plant_factory(settings.plant)(settings.nominal, settings.seed)
+        return mounted(plant_factory(settings.plant)(settings.nominal, settings.seed), settings)
     except (TypeError, ValueError) as error:
         raise RigSettingsError(
             f"plant = {settings.plant!r} makes no plant: {error}. "

@@ -87,7 +87,8 @@ class RigSettings:
     Modbus: `sim_rig.modbus.orders`): there the drive's node id is its unit
     id, the load's encoder hangs on the drive, and `bus` is host and port, or baud_rate, parity,
     stop_bits, and turnaround_s of the pty that the rig opens. `counter` is a serial counter on the
-    load, on a pty of its own; faults whose kind begins with "counter-" are its.
+    load, on a pty of its own; faults whose kind begins with "counter-" are its. `gear_ratio` and
+    the directions, 1 or -1, say how the encoders sit (see `sim_rig.mounted`).
 
     Raises RigSettingsError where a value makes no sense.
     """
@@ -109,6 +110,9 @@ class RigSettings:
     faults: tuple[str, ...] = ()
     protocol: str = CANOPEN
     counter: CounterSettings | None = None
+    gear_ratio: float = 1.0
+    motor_direction: int = 1
+    load_direction: int = 1
 
     @property
     def counter_faults(self) -> tuple[str, ...]:
@@ -139,6 +143,13 @@ class RigSettings:
             value = getattr(self, name)
             if not 1 <= value <= 2**31:
                 raise RigSettingsError(f"{name} = {value}: must be 1 to 2**31.")
+        if not (math.isfinite(self.gear_ratio) and self.gear_ratio > 0.0):
+            raise RigSettingsError(f"gear_ratio = {self.gear_ratio}: must be above zero.")
+        if not {self.motor_direction, self.load_direction} <= {1, -1}:
+            raise RigSettingsError(
+                f"motor_direction, load_direction = {self.motor_direction}, "
+                f"{self.load_direction}: each is 1 or -1."
+            )
         for name in ("load_encoder_noise_rad", "motor_encoder_noise_rad"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):

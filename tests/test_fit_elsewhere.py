@@ -5,6 +5,7 @@ loop of its own. And on measured data, where it is there, beside what those who 
 """
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -98,6 +99,17 @@ def test_a_voltage_and_a_winding_that_is_known(name: str) -> None:
     assert found["coulomb.torque_nm"].value == pytest.approx(FRICTION, rel=0.1)
     assert found["viscous.damping_nm_s_per_rad"].value == pytest.approx(DAMPING, abs=5e-5)
     assert found.gain > 0.8
+
+
+def test_behind_a_gear_an_ampere_makes_more_and_the_inertia_is_that_of_the_axis() -> None:
+    told = {"torque_constant_nm_per_a": TORQUE_CONSTANT, "resistance_ohm": OHM}
+    straight = by_voltage(ForeignPlant(name="straight", **told), 1, "motor_velocity_rad_s")
+    slow = {**straight.channels, "motor_velocity_rad_s": straight["motor_velocity_rad_s"] / 5.0}
+    geared = ForeignPlant(name="geared", gear_ratio=5.0, **told)
+    behind = starting_model(replace(straight, channels=slow, plant=geared)).nominal
+    before = starting_model(straight).nominal
+    assert behind.torque_constant_nm_per_a == pytest.approx(5.0 * TORQUE_CONSTANT)
+    assert behind.inertia_kg_m2 == pytest.approx(25.0 * before.inertia_kg_m2)
 
 
 def test_without_a_resistance_torques_are_volts_and_back_emf_is_damping() -> None:

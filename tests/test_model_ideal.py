@@ -91,6 +91,65 @@ def test_the_plant_steps_the_same_bits() -> None:
     assert plant.state() == done.end
 
 
+def test_the_plant_steps_the_same_bits_in_a_gap_that_changes() -> None:
+    model = Model(NOMINAL).with_effect("position_backlash", swing_rad=4e-3)
+    model = model.with_effect("gravity_imbalance", torque_nm=0.02)
+    done, plant, outputs = model.simulate(commands(100), 0.008), model.plant(), []
+    for level in commands(100):
+        outputs.append(plant.outputs())
+        plant.advance(level, 0.008)
+    assert [o.load_angle_rad for o in outputs] == done.load_angle_rad.tolist()
+    assert [o.motor_current_a for o in outputs] == done.motor_current_a.tolist()
+
+
+def test_a_rigs_clock_begins_with_its_first_command() -> None:
+    model = Model(NOMINAL).with_effect("clock_skew", skew_fraction=1e-4)
+    model = model.with_effect("thermal_friction", cold_torque_nm=0.02)
+    at_once, late = model.plant(), model.plant()
+    late.advance(None, 3600.0)
+    for level in commands(30):
+        for plant in (at_once, late):
+            plant.advance(level, 0.008)
+        assert late.outputs() == at_once.outputs()
+    late.advance(None, 60.0)  # without power, but begun: it goes on
+    assert late.state().time_s == pytest.approx(30 * 0.008 + 60.0)
+
+
+def test_a_state_in_motion_keeps_its_integral_however_late_commands_act() -> None:
+    begun = {"motor_velocity_rad_s": 5.0, "integral_rad": 0.05, "command_rad_s": 5.0}
+    for model in (Model(NOMINAL), Model(NOMINAL).with_effect("transport_delay", delay_s=2e-3)):
+        state = model.state(**begun)
+        assert (state.values[2], state.values[5], state.values[9]) == (0.05, 5.0, 0.0)
+
+
+def test_a_window_is_played_by_the_time_at_which_it_begins() -> None:
+    """Friction that warms: the second half alone is the second half of the whole."""
+    model = Model(NOMINAL).with_effect("thermal_friction", cold_torque_nm=0.02, warming_s=3.0)
+    model = model.with_effect("thermal_torque_constant", drop_fraction=0.2, warming_s=3.0)
+    current = 0.5 * np.sin(2.0 * np.pi * 2.0 * 1e-3 * np.arange(6001))
+    whole, half = mechanics(model, 1e-3, current), 3000
+    angle, velocity = float(whole.angle_rad[half]), float(whole.velocity_rad_s[half])
+    begun = {"angle_rad": angle, "velocity_rad_s": velocity}
+    part = mechanics(model, 1e-3, current[half:], **begun, time_s=3.0)
+    np.testing.assert_allclose(part.angle_rad, whole.angle_rad[half:], atol=1e-6)
+    cold = mechanics(model, 1e-3, current[half:], **begun)
+    assert np.abs(cold.angle_rad - whole.angle_rad[half:]).max() > 1e-2
+    shown = controller(model, 1e-3, np.full(half, 0.0), whole.angle_rad[half:], time_s=3.0)
+    assert np.isfinite(shown).all()
+
+
+def test_a_load_that_is_pushed_steadily_moves_at_every_look() -> None:
+    model = Model(NOMINAL).with_effect("load_friction", torque_nm=0.01)
+    done = model.simulate(np.full(200, 3.0), 0.008)
+    np.testing.assert_allclose(done.load_velocity_rad_s[100:], 3.0, rtol=1e-3)
+    np.testing.assert_allclose(done.contact_torque_nm[100:], 0.01, rtol=1e-3)
+
+
+def test_starts_are_one_for_each_model() -> None:
+    with pytest.raises(SimulationError, match="1 starts for 2 models"):
+        simulate_many([Model(NOMINAL)] * 2, commands(5), 0.008, [Model(NOMINAL).at_rest()])
+
+
 def test_without_power_it_coasts() -> None:
     plant = Model(NOMINAL).plant()
     plant.advance(5.0, 0.5)

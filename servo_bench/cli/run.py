@@ -80,7 +80,7 @@ def play(
         stop = stack.enter_context(asked_to_stop())
         if simulated:
             started = stack.enter_context(spawn(rig.on_a_free_port().simulation_settings()))
-            rig = rig.with_bus(**started.bus)
+            rig = rig.as_simulated(**started.bus)
         stack.enter_context(holding_rig(rig.bus, who))
         progress = stack.enter_context(run_progress(console))
         return run_session(

@@ -33,7 +33,7 @@ def play(job: RunJob, control: Control) -> RunResult:
             rig = job.rig
             if job.simulated:
                 started = stack.enter_context(spawn(rig.on_a_free_port().simulation_settings()))
-                rig = rig.with_bus(**started.bus)
+                rig = rig.as_simulated(**started.bus)
             summary = run(
                 job.experiment,
                 rig,

@@ -91,10 +91,10 @@ class Rigs:
         if not wire:
             with gathered():
                 config.model_copy(update={"effects": settings.effects}).model()  # names and values
-            return SimRig(config)
+            return SimRig(config.as_simulated())
         with gathered():
             started = self._started.enter_context(spawn(settings))
-        return SimRig(config.with_bus(**started.bus), wire=True)
+        return SimRig(config.as_simulated(**started.bus), wire=True)
 
 
 def _si(table: Mapping[str, Any]) -> dict[str, Any]:

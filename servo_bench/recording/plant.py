@@ -27,7 +27,8 @@ class PositionLoop(Value):
 
 
 class ForeignPlant(Value):
-    """`[plant]` of a map. Angles and inertia are at the axis on which the motor's angle is given.
+    """`[plant]` of a map. Angles, torques and inertia are at the axis on which the motor's angle is
+    given; the torque constant is the motor's own.
 
     inertia_kg_m2             of all that turns with the motor, without the pendulum
     torque_constant_nm_per_a  K_T
@@ -46,6 +47,12 @@ class ForeignPlant(Value):
     output_locked: bool = False
     pendulum: Pendulum | None = None
     position_loop: PositionLoop | None = None
+
+    @property
+    def axis_nm_per_a(self) -> float | None:
+        """What an ampere makes at the axis: K_T times the gear's ratio; None where nobody says."""
+        constant = self.torque_constant_nm_per_a
+        return None if constant is None else constant * self.gear_ratio
 
 
 def plant_from_table(table: dict[str, Any], source: str) -> ForeignPlant:

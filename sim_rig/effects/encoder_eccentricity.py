@@ -3,7 +3,7 @@
     y <- y + a sin(theta_l + phi)
 
 a    amplitude_rad   eccentricity over the track's radius
-phi  phase_rad       where the error is zero
+phi  phase_rad       phase: the error is zero and rising at theta_l = -phi
 
 Changes the reading only: no dynamics, no lag, nothing in the current.
 """

@@ -4,7 +4,7 @@
 
 a    amplitude_rad  0.2 to 2 % of the line's pitch 2 pi / n
 n    line_order     lines in a revolution; twice that where sine and cosine differ in gain
-phi  phase_rad      where the error is zero and rising
+phi  phase_rad      phase: the error is zero and rising at n theta_l = -phi
 
 Changes the reading only: nothing in the current, and the same at any speed.
 """

@@ -5,7 +5,9 @@
 T  torque_nm   a weight on a drum, a spring that hardly moves, a brake's drag one way
 
 On a rigid load it reaches the motor while the motor pushes against it; otherwise the load is held
-by friction. A load with a mass (contact, coupling_compliance) falls to one side of its gap.
+by friction. A load with a mass (contact) falls to one side of its gap, and presses on that face at
+rest as well: give it one to play a dwell, in which a rigid load's torque dies away in the
+motor's last tremble, the sooner the longer the steps.
 """
 
 from typing import Annotated, Any, NamedTuple

@@ -6,7 +6,7 @@ r    ripple_fraction   amplitude over the mean torque
 n    electrical_order  periods in an electrical revolution: 6 (12) from harmonics of the back-EMF,
                        2 from phase currents of unequal gain
 p    pole_pair_count   electrical revolutions in one of the motor
-phi  phase_rad         where it is zero and rising
+phi  phase_rad         phase: it is zero and rising at n p theta = -phi
 
 Needs current. An offset of a current sensor makes torque without: cogging of order p.
 """

@@ -4,7 +4,8 @@
     mechanics      current               -> motor motion
     transmission   motor motion          -> load angle
 
-Samples are taken at the slots' beginnings: n samples, n - 1 durations, n values out. Between
+Samples are taken at the slots' beginnings: n samples, n - 1 durations, n values out; the first
+comes `time_s` after the rig's clock began, by which frictions warm and clocks fall apart. Between
 samples motion is the cubic through angles and velocities, and current a straight line, so its
 jumps at command edges want samples at 1 kHz or more.
 """
@@ -36,6 +37,7 @@ def controller(
     motor_velocity_rad_s: ArrayLike | None = None,
     *,
     integral_rad: float = 0.0,
+    time_s: float = 0.0,
 ) -> Array:
     """The current, A, at every sample, before that sample's command acts. n - 1 commands.
 
@@ -43,7 +45,8 @@ def controller(
     """
     commands = own_array(commands_rad_s)
     done = _from_motion(
-        model, durations_s, commands, motor_angle_rad, motor_velocity_rad_s, integral_rad, None
+        *(model, durations_s, commands, motor_angle_rad, motor_velocity_rad_s),
+        Start(integral_rad, None, time_s),
     )
     return np.append(done.motor_current_a, done.end.recorded[2])
 
@@ -55,6 +58,7 @@ def mechanics(
     *,
     angle_rad: float = 0.0,
     velocity_rad_s: float = 0.0,
+    time_s: float = 0.0,
 ) -> MotorMotion:
     """The motor's motion under a current, A, shape (n,). The load, if elastic, goes with it."""
     current = _samples("current_a", current_a)
@@ -68,6 +72,7 @@ def mechanics(
         load_angle_rad=angle_rad,
         load_velocity_rad_s=velocity_rad_s,
         command_rad_s=0.0,
+        time_s=time_s,
     )
     done = play(model, Inputs(np.zeros(durations.size), durations, given, MECHANICS), start)
     return MotorMotion(
@@ -83,11 +88,13 @@ def transmission(
     motor_velocity_rad_s: ArrayLike | None = None,
     *,
     load_angle_rad: float | None = None,
+    time_s: float = 0.0,
 ) -> Array:
     """The recorded load angle, rad, at every sample; the load begins mid-gap unless told."""
     samples = np.zeros(_samples("motor_angle_rad", motor_angle_rad).size - 1)
     done = _from_motion(
-        model, durations_s, samples, motor_angle_rad, motor_velocity_rad_s, 0.0, load_angle_rad
+        *(model, durations_s, samples, motor_angle_rad, motor_velocity_rad_s),
+        Start(0.0, load_angle_rad, time_s),
     )
     return np.append(done.load_angle_rad, done.end.recorded[3])
 
@@ -101,14 +108,21 @@ def _samples(name: str, values: ArrayLike) -> Array:
     return samples
 
 
+class Start(NamedTuple):
+    """Where a block begins, beside the motor's motion."""
+
+    integral_rad: float
+    load_angle_rad: float | None
+    time_s: float
+
+
 def _from_motion(  # noqa: PLR0917 - the two blocks' common ground
     model: Model,
     durations_s: ArrayLike,
     commands: Array,
     motor_angle_rad: ArrayLike,
     motor_velocity_rad_s: ArrayLike | None,
-    integral_rad: float,
-    load_angle_rad: float | None,
+    begin: Start,
 ) -> Simulated:
     angle = _samples("motor_angle_rad", motor_angle_rad)
     durations = checked_durations(angle[1:], durations_s)
@@ -127,10 +141,11 @@ def _from_motion(  # noqa: PLR0917 - the two blocks' common ground
     start: ModelState = model.state(
         motor_angle_rad=float(angle[0]),
         motor_velocity_rad_s=float(velocity[0]),
-        integral_rad=integral_rad,
-        load_angle_rad=float(angle[0]) if load_angle_rad is None else load_angle_rad,
+        integral_rad=begin.integral_rad,
+        load_angle_rad=float(angle[0]) if begin.load_angle_rad is None else begin.load_angle_rad,
         load_velocity_rad_s=0.0,
         command_rad_s=float(commands[0]),
+        time_s=begin.time_s,
     )
     given = cubic_motion(angle, velocity, durations)
     return play(model, Inputs(commands, durations, given, MOTION), start)

@@ -131,11 +131,10 @@ class Model:
             *(motor_angle_rad, motor_velocity_rad_s, integral_rad),
             *(load_angle_rad, load_velocity_rad_s),
         )
-        off = command_rad_s is None
-        values[5] = np.nan
-        values[10:12] = motor_angle_rad, motor_velocity_rad_s
+        values[5] = np.nan if command_rad_s is None else command_rad_s  # acts, however late
+        values[10:13] = motor_angle_rad, motor_velocity_rad_s, self.nominal.backlash_gap_rad
         rows = np.zeros((1, COLUMNS))
-        look = np.array([np.nan if off else command_rad_s])
+        look = values[5:6].copy()
         run_page(machine, self, values, Inputs(look, np.zeros(1), np.zeros((1, 4))), rows)
         values[6:8] = time_s, 0.0
         return ModelState(tuple(values.tolist()), tuple(rows[0].tolist()))
@@ -165,8 +164,13 @@ def simulate_many(
     starts: Iterable[ModelState] | None = None,
     workers: int | None = None,
 ) -> list[Simulated]:
-    """Every model under the same commands, over the machine's cores (the page holds no lock)."""
+    """Every model under the same commands, over the machine's cores (the page holds no lock).
+
+    Raises SimulationError where starts are given, and not one for each model.
+    """
     begin = [None] * len(models) if starts is None else list(starts)
+    if len(begin) != len(models):
+        raise SimulationError(f"{len(begin)} starts for {len(models)} models: give one for each.")
     engine()
     with ThreadPoolExecutor(workers) as pool:
         return list(

@@ -8,7 +8,7 @@ from sim_rig.errors import SimulationError
 from sim_rig.model.engine import engine
 from sim_rig.model.running import flat_parameters, rig_array, steps_of
 from sim_rig.model.skeleton import CLOSED
-from sim_rig.model.state import ModelState
+from sim_rig.model.state import CLOCK, ModelState
 from sim_rig.plant import PlantOutputs
 
 if TYPE_CHECKING:
@@ -16,7 +16,11 @@ if TYPE_CHECKING:
 
 
 class ModelPlant:
-    """Stepped slot by slot by the same compiled page as `Model.simulate`, from rest."""
+    """Stepped slot by slot by the same compiled page as `Model.simulate`, from rest.
+
+    The rig's clock, by which its friction warms and its command falls behind, begins with the first
+    command: a rig may wait for hours until somebody enables it.
+    """
 
     def __init__(self, model: "Model", start: ModelState) -> None:
         machine = engine()
@@ -27,6 +31,7 @@ class ModelPlant:
         self._row = np.array([start.recorded])
         self._command, self._duration = np.zeros(1), np.zeros(1)
         self._given = np.zeros((1, 4))
+        self._begun, self._start_s = False, float(self._values[CLOCK])
 
     def advance(self, velocity_command_rad_s: float | None, duration_s: float) -> None:
         """Hold the command for `duration_s`; None means the power stage is off and it coasts."""
@@ -37,6 +42,9 @@ class ModelPlant:
             *(self._given, CLOSED, self._longest_step_s, self._row),
         ):
             raise SimulationError("more than 64 commands are on their way at once.")
+        self._begun = self._begun or velocity_command_rad_s is not None
+        if not self._begun:
+            self._values[CLOCK] = self._start_s
 
     def outputs(self) -> PlantOutputs:
         """The present state; changes nothing."""

@@ -117,7 +117,7 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
     if not coupled:
         hub, hub_rate = theta, omega
     nominal_per_motor = 1.0 / nominal_inertia_kg_m2
-    gap = nominal_gap_rad
+    gap = state[12]
     acceleration, rate, apart = 0.0, 0.0, 0.0
     driven, jerk, change, wound, cut_before_a = 0.0, 0.0, 0.0, 0.0, 0.0
 
@@ -255,8 +255,9 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
                         load_angle_rad = lesser(greater(load, lowest), highest)
                         # pushed at the step's end, if not yet: its torque counts by its share
                         ahead = 2.0 * driver - hub - load
-                        pushed = (driver_rate > 0.0 and ahead >= 0.5 * gap) or (
-                            driver_rate < 0.0 and ahead <= -0.5 * gap
+                        met = 0.5 * gap - 1e-12
+                        pushed = (driver_rate > 0.0 and ahead >= met) or (
+                            driver_rate < 0.0 and ahead <= -met
                         )
                         load_velocity_rad_s = driver_rate if pushed else 0.0
                     ideal_current = loop_p * (r - motor_velocity_rad_s) + loop_i * integral_rad
@@ -429,6 +430,6 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
 
     state[0], state[1], state[2], state[3], state[4] = theta, omega, z, load, load_rate
     state[5], state[6], state[7], state[8] = drive, clock, slot, contact_torque_nm
-    state[9], state[10], state[11] = waiting, hub, hub_rate
+    state[9], state[10], state[11], state[12] = waiting, hub, hub_rate, gap
     # pack
     return complete

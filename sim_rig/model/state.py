@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-COLUMNS = 8
+COLUMNS, CLOCK = 8, 6
 
 
 class ModelState(NamedTuple):
@@ -19,7 +19,7 @@ class ModelState(NamedTuple):
     @property
     def time_s(self) -> float:
         """Since the simulation's beginning, on the rig's clock."""
-        return self.values[6]
+        return self.values[CLOCK]
 
 
 class Simulated(NamedTuple):

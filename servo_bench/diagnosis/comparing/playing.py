@@ -71,9 +71,12 @@ class Source(NamedTuple):
         """What sensors would have shown at every row of the piece, by channel."""
         rows, at = self.rows, piece.rows
         inner = rows.durations_s[piece.first : piece.last - 1]
+        time_s = float(rows.t_s[piece.first])
         if self.block == "loop":
             start = model.state(
-                motor_angle_rad=piece.motor_angle_rad, load_angle_rad=piece.motor_angle_rad
+                motor_angle_rad=piece.motor_angle_rad,
+                load_angle_rad=piece.motor_angle_rad,
+                time_s=time_s,
             )
             commands = rows.channel("velocity_command_rad_s")[at]
             return _sampled(model, start, commands, rows, at)
@@ -84,6 +87,7 @@ class Source(NamedTuple):
                 self.current_a[at],
                 angle_rad=piece.motor_angle_rad,
                 velocity_rad_s=piece.motor_velocity_rad_s,
+                time_s=time_s,
             )
             return {
                 "motor_position_rad": motion.angle_rad,
@@ -91,10 +95,12 @@ class Source(NamedTuple):
             }
         angle = rows.channel("motor_position_rad")[at]
         if self.block == "transmission":
-            load = transmission(model, inner, angle, load_angle_rad=piece.load_angle_rad)
+            load = transmission(
+                model, inner, angle, load_angle_rad=piece.load_angle_rad, time_s=time_s
+            )
             return {"load_angle_rad": load}
         commands = rows.channel("velocity_command_rad_s")[at][:-1]
-        return {"current_a": controller(model, inner, commands, angle)}
+        return {"current_a": controller(model, inner, commands, angle, time_s=time_s)}
 
     def _inputs(self) -> tuple[str, ...]:
         return {

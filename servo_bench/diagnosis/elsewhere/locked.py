@@ -139,7 +139,7 @@ class _Ramp(NamedTuple):
 def _ramp(recording: Recording) -> _Ramp:
     """The gentlest runs, thinned alike."""
     name, plant = torque_of(recording), recording.plant
-    per_unit = plant.torque_constant_nm_per_a if plant is not None else None
+    per_unit = plant.axis_nm_per_a if plant is not None else None
     factor = per_unit if name == "current_a" and per_unit is not None else 1.0
     torque = factor * np.asarray(recording[name], dtype=np.float64)
     twist = np.asarray(recording["motor_position_rad"], dtype=np.float64)

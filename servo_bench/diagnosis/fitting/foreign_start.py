@@ -51,7 +51,7 @@ def starting_model(recording: Recording) -> Model:
         return _locked(recording)
     recording = with_voltage(recording)
     effort = effort_of(recording)
-    told = plant.torque_constant_nm_per_a or 1.0
+    told = plant.axis_nm_per_a or 1.0
     inertia, torque_constant, drag = _inertia(recording, plant, effort, told)
     loop, gain = plant.position_loop, 1.0
     ohm = resistance_ohm(recording)
@@ -80,7 +80,7 @@ def _locked(recording: Recording) -> Model:
     seen = compare_locked(recording)
     plant = recording.plant
     twist, peak = float(np.ptp(seen.measured)), float(np.abs(seen.torque).max())
-    torque_constant = (plant and plant.torque_constant_nm_per_a) or 1.0
+    torque_constant = (plant and plant.axis_nm_per_a) or 1.0
     peak *= torque_constant if torque_of(recording) == "current_a" else 1.0
     gap = (plant and plant.backlash_gap_rad) or 0.5 * twist
     model = Model(Nominal(torque_constant, (plant and plant.inertia_kg_m2) or 1e-3, 1.0, 1.0, gap))

@@ -74,7 +74,9 @@ class TestShow:
         for word in ("Hendershot", "torque_ripple *", "position x direction", "Computed"):
             assert word in output
 
-    @pytest.mark.parametrize("name", ["cogging", "quantisation"])
+    @pytest.mark.parametrize(
+        "name", ["cogging", pytest.param("quantisation", marks=pytest.mark.long)]
+    )
     def test_writes_a_page_with_what_was_computed(self, tmp_path: Path, name: str) -> None:
         out = tmp_path / "page.html"
         assert call("effects", "show", name, "--out", out)[0] == 0

@@ -143,6 +143,7 @@ def test_paper_refuses_an_existing_output_before_it_computes(
     assert there.read_text() == "{}"
 
 
+@pytest.mark.long
 def test_estimators_are_judged_side_by_side(recording: Path, tmp_path: Path) -> None:
     report, figures = tmp_path / "out.html", tmp_path / "out.json"
     words = ("--estimator", "correlation,play", "--report", report, "--json", figures)

@@ -39,6 +39,7 @@ def _run(seed: int, **simulated: object) -> Recording:
     return run_virtually(experiment(), noisy_rig(seed, **simulated))
 
 
+@pytest.mark.long
 def test_two_runs_of_one_rig_are_alike() -> None:
     for one, other in combinations(SEEDS, 2):
         a, b = small_run(one), small_run(other)

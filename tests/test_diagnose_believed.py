@@ -29,7 +29,7 @@ def test_a_run_in_slots_that_names_no_rig_asks_for_one() -> None:
 @pytest.mark.parametrize(
     ("effect", "believed", "true"),
     [
-        ("coulomb", RUBS, RUBS),
+        pytest.param("coulomb", RUBS, RUBS, marks=pytest.mark.long),
         pytest.param(
             "backlash_width", {"change_rad": 4e-3}, {"change_rad": 4e-3}, marks=pytest.mark.long
         ),

@@ -45,6 +45,7 @@ def twist(seen: Evidence, found: Found) -> float:
     return float(misfit(seen, found.errors)[np.array(rows)].max())
 
 
+@pytest.mark.long
 def test_a_load_that_coasts_is_found_to_do_so() -> None:
     seen, found = searched(coasting(MODEL, SLOWED_RAD_S2), 31)
     assert twist(seen, found) > 1.0
@@ -115,6 +116,7 @@ def test_what_coasts_takes_no_cause_from_a_torque_constant_by_the_loads_encoder_
     assert is_coasting(found.final.model)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("hidden", [MODEL, MODEL.with_effect("inertia_error", error_fraction=0.2)])
 def test_nothing_coasts_where_the_twist_is_right_or_more_than_the_twist_is_wrong(
     hidden: Model,
@@ -145,6 +147,7 @@ def test_friction_of_a_load_that_coasts_is_taken_off_the_motors() -> None:
     assert effects["load_friction"].torque_nm > 0.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("slope_s_per_rad", [pytest.param(0.1, marks=pytest.mark.long), 0.4])
 def test_a_face_that_takes_more_of_a_fast_blow_is_found(slope_s_per_rad: float) -> None:
     """Slow blows and fast ones, which no spring and damper gives back alike."""

@@ -90,6 +90,7 @@ def test_a_rig_without_a_gap_is_not_limited_to_what_a_gap_asks_for() -> None:
     assert min(plan.amplitude_rad_s for plan in grid) < 0.3 * largest
 
 
+@pytest.mark.long
 def test_limits_that_leave_no_room_are_told() -> None:
     rig = load_rig(RIG)
     tight = rig.model_copy(update={"limits": rig.limits.model_copy(update={"travel_rad": 0.01})})
@@ -102,6 +103,7 @@ def test_limits_that_leave_no_room_are_told() -> None:
         candidates(rig, RIG, 0.1, PERIOD_S)
 
 
+@pytest.mark.long
 def test_a_torque_limit_makes_the_excitation_smaller() -> None:
     rig = load_rig(RIG)
     weak = rig.model_copy(update={"limits": rig.limits.model_copy(update={"torque_nm": 0.05})})

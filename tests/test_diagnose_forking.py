@@ -105,8 +105,8 @@ def test_a_way_goes_on_from_who_is_accepted_of_the_round_that_was_played(
     ("ways", "kept", "asked"),
     [
         (((LAG,), (LAG, LINE)), 1, ["", LINE]),
-        (((LAG,), (DELAY,)), 0, ["", LINE]),
-        (((LAG, LINE), (LINE,)), 0, [""]),
+        pytest.param(((LAG,), (DELAY,)), 0, ["", LINE], marks=pytest.mark.long),
+        pytest.param(((LAG, LINE), (LINE,)), 0, [""], marks=pytest.mark.long),
     ],
 )
 def test_the_better_way_is_taken_and_a_right_one_at_once(

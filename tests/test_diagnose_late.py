@@ -66,6 +66,7 @@ def test_a_coupling_that_hides_behind_a_load_that_coasts_is_named() -> None:
     assert found.absorbed == ()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("only", [("thermal_friction",), ("thermal_friction", "coulomb")])
 def test_constant_friction_is_not_called_one_that_warms(only: tuple[str, ...]) -> None:
     """In seven seconds of ten minutes they are alike: the plain one is asked beside it, and nothing
@@ -75,6 +76,7 @@ def test_constant_friction_is_not_called_one_that_warms(only: tuple[str, ...]) -
     assert (found is None) == ("coulomb" in only)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("seed", "slowed_rad_s2"),
     [(62, 350.0), pytest.param(*(63, 1200.0), marks=pytest.mark.long)],

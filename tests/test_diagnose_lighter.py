@@ -33,7 +33,9 @@ def heavier(model: Model, times: float) -> Model:
     return heavy.with_effect("coulomb", torque_nm=whole_nm - times * own)
 
 
-@pytest.mark.parametrize(("times", "light"), [(1.0, True), (50.0, False)])
+@pytest.mark.parametrize(
+    ("times", "light"), [pytest.param(1.0, True, marks=pytest.mark.long), (50.0, False)]
+)
 def test_a_load_is_light_where_the_motor_feels_nothing_of_it(times: float, light: bool) -> None:
     rig = coasting(MODEL.with_effect("coulomb", torque_nm=COULOMB_NM), SLOWED_RAD_S2)
     hidden = heavier(rig, times)

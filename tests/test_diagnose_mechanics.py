@@ -108,6 +108,7 @@ def test_all_lines_of_a_rotor_are_its_cogging_and_the_strongest_comes_first() ->
     assert all(f"{order} (" in note for order in (24, 36, 144))
 
 
+@pytest.mark.long
 def test_a_rotor_without_magnets_has_no_lines() -> None:
     verdict = turned({72: 0.0}, 0.08, seed=4)
     assert not {"cogging", "torque_ripple"} & set(verdict.names)

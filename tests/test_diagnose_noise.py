@@ -130,6 +130,7 @@ def test_a_beginning_is_judged_by_what_the_whole_keeps_back() -> None:
     assert last[-1] == len(whole) - 2
 
 
+@pytest.mark.long
 def test_a_gap_is_found_in_data_from_elsewhere_as_in_a_run() -> None:
     hidden = MODEL.with_effect("backlash_width", change_rad=3e-3)
     recording = from_elsewhere(recorded(hidden, 6, slots=900), STANDSTILL + 20)

@@ -84,6 +84,7 @@ def test_nothing_is_invented_where_quantised_speed_is_all_there_is() -> None:
     assert "Nothing pays" in verdict.sentence
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "play_deg"), CYCLOIDAL.items())
 def test_play_of_a_locked_gear(name: str, play_deg: float) -> None:
     """Against the figure that was published, and by how much it beats a linear spring."""
@@ -131,6 +132,7 @@ def test_friction_of_a_known_motor_is_found_in_amperes_and_absent_where_there_is
     assert "coulomb" not in diagnose_open([spun(driven(1), 0.0, 2)], only=TARGETED).names
 
 
+@pytest.mark.long
 def test_a_constant_that_nobody_can_place_is_told_with_its_size() -> None:
     """A sensor's offset turns the motor as a load does: no cause, and more than nothing."""
     recording = spun(driven(1), 0.15, 2)
@@ -151,7 +153,7 @@ def by_its_angle(recording: Recording, seed: int) -> Recording:
     return replace(recording, channels={**channels, "motor_position_rad": angle})
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_motor_that_turns_evenly_where_it_is_judged_tells_nothing(seed: int) -> None:
     """Else what it is named for is its noise."""
     current = np.concatenate((driven(seed)[:10_000], np.zeros(5_000)))
@@ -161,6 +163,7 @@ def test_a_motor_that_turns_evenly_where_it_is_judged_tells_nothing(seed: int) -
     assert verdict.next_run
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_motor_that_turns_evenly_against_a_drag_tells_the_drag(seed: int) -> None:
     """By the current that holds its speed."""

@@ -48,7 +48,7 @@ def test_a_nuisance_at_its_bound_comes_back_where_the_cause_takes_its_place() ->
     assert best.gain > 0.5
 
 
-@pytest.mark.parametrize("lag_s", [2e-4, 3e-4])
+@pytest.mark.parametrize("lag_s", [2e-4, pytest.param(3e-4, marks=pytest.mark.long)])
 def test_of_what_is_there_already_a_template_tells_the_whole(lag_s: float) -> None:
     hidden, lag = MODEL.with_effect("current_loop_lag", lag_s=lag_s), "current_loop_lag"
     seen, base, tried, _ = rested(hidden, 32, of=lag)
@@ -94,6 +94,7 @@ def test_a_believed_wave_of_another_order_is_no_way_to_a_trial() -> None:
     assert found["phase_rad"] == pytest.approx(np.arctan2(0.2, 0.3))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "phase_rad", [0.7, -0.8, *(pytest.param(it, marks=pytest.mark.long) for it in (0.0, 1.5))]
 )

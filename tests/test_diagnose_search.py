@@ -274,6 +274,7 @@ THREE_ORDERS = {
 }
 
 
+@pytest.mark.long
 def test_what_is_not_sure_has_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without it the simulation is as wrong as before: unknown, or none where that is no more than
     it may be."""

@@ -97,8 +97,8 @@ def test_a_load_that_hangs_in_its_gap_is_not_exchanged(weight_nm: float) -> None
     ("channel", "role", "rows"),
     [
         ("load_angle_rad", "load_sampled", 1),
-        ("motor_position_rad", "motor_sampled", 2),
-        ("motor_torque_nm", "current_sampled", 3),
+        pytest.param(*("motor_position_rad", "motor_sampled", 2), marks=pytest.mark.long),
+        pytest.param(*("motor_torque_nm", "current_sampled", 3), marks=pytest.mark.long),
     ],
 )
 def test_a_channel_that_comes_late_is_told_and_the_map_can_say_so(

@@ -52,9 +52,12 @@ def seen() -> Evidence:
     return evidence_of([recorded(rig(LAG, LINE), 71, slots=900)], MODEL, block="loop")
 
 
+NOT_BOTH = (((LINE,), False), ((LAG,), True))
+
+
 @pytest.mark.parametrize(
     ("hidden", "is_there"),
-    [((LAG, LINE), True), ((LINE,), False), pytest.param((LAG,), True, marks=pytest.mark.long)],
+    [((LAG, LINE), True), *(pytest.param(*it, marks=pytest.mark.long) for it in NOT_BOTH)],
 )
 def test_what_is_missed_beside_an_unlike_rival_is_no_matter_of_one_or_the_other(
     hidden: tuple[str, ...], is_there: bool

@@ -351,7 +351,9 @@ def session(rig: FakeRig) -> None:
         Run(rig, axis).play(3)
 
 
-@pytest.mark.parametrize("raised", [KeyboardInterrupt, WireError])
+@pytest.mark.parametrize(
+    "raised", [KeyboardInterrupt, pytest.param(WireError, marks=pytest.mark.long)]
+)
 def test_wherever_it_is_interrupted_the_drive_is_off_and_the_bus_closed(
     rig: FakeRig, monkeypatch: pytest.MonkeyPatch, raised: type[BaseException]
 ) -> None:

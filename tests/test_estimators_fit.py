@@ -293,6 +293,7 @@ def test_the_matrix_marks_what_was_seen(paper_training: Training) -> None:
     assert matrix.vaf_percent[0, 1:].min() > 99.5
 
 
+@pytest.mark.long
 def test_figures_hold_a_band_sections_and_energies(paper_training: Training) -> None:
     posterior = RegularisedVolterra().fit(paper_training)
     assert isinstance(posterior, MultilinearPosterior)

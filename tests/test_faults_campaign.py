@@ -13,6 +13,7 @@ from tests.virtual_rig import install
 
 SEED = 20
 PARTS, EACH = 8, 25
+AT_ONCE = 2  # of these parts; the others are long
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -21,7 +22,13 @@ def _installed() -> None:
     install_lines()
 
 
-@pytest.mark.parametrize("part", range(PARTS))
+@pytest.mark.parametrize(
+    "part",
+    [
+        *range(AT_ONCE),
+        *(pytest.param(it, marks=pytest.mark.long) for it in range(AT_ONCE, PARTS)),
+    ],
+)
 def test_no_hang_nothing_left_moving_and_the_right_cause_named(part: int, tmp_path: Path) -> None:
     numbers = range(part * EACH, (part + 1) * EACH)
     figures = judged([run_scenario(scenario(SEED, number), tmp_path) for number in numbers])

@@ -49,6 +49,7 @@ def regression(recording: Recording) -> tuple[float, float]:
     return float(found[0]), float(found[2])
 
 
+@pytest.mark.long
 def test_inertia_per_torque_constant_agrees_with_a_regression() -> None:
     inertia, friction = regression(laas())
     found = fitted(1.0)
@@ -57,6 +58,7 @@ def test_inertia_per_torque_constant_agrees_with_a_regression() -> None:
     assert found["coulomb.torque_nm"].value == pytest.approx(friction, rel=0.25)
 
 
+@pytest.mark.long
 def test_the_windows_length_does_not_matter_for_what_is_well_known() -> None:
     short, long = fitted(0.3)["J"], fitted(1.0)["J"]
     assert short.value == pytest.approx(long.value, rel=0.02)

@@ -55,9 +55,8 @@ def test_friction_and_gap_are_found_together(seed: int) -> None:
     assert found.gain > 0.6
 
 
-@pytest.mark.parametrize(
-    ("seed", "error"), [(231, 0.2), pytest.param(*(232, -0.15), marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("seed", "error"), [(231, 0.2), (232, -0.15)])
 def test_the_ratio_of_inertia_and_torque_constant_is_found_and_no_more(
     seed: int, error: float
 ) -> None:

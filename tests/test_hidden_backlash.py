@@ -26,7 +26,9 @@ def judged(sealed: hidden.Sealed) -> Fit:
     return fit(recording, Model(nominal), ("gap",))
 
 
-@pytest.mark.parametrize("seed", [11, 23, 35, 47, 59, 71])
+@pytest.mark.parametrize(
+    "seed", [11, 23, 35, *(pytest.param(it, marks=pytest.mark.long) for it in (47, 59, 71))]
+)
 def test_a_hidden_backlash_width_is_found_and_the_held_out_error_falls(seed: int) -> None:
     sealed = hidden.draw(seed)
     nominal = load_rig("rigs/paper.toml").nominal_values()

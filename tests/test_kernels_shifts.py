@@ -83,7 +83,12 @@ def test_koopmans_hamming_distances_are_met(octal: str, order: int, memory: int)
 
 @pytest.mark.parametrize(
     ("n", "order2", "order3", "median3"),
-    [(10, 26, 14, 11), (11, 37, 16, 12), (12, 45, 18, 14), (13, 63, 22, 16)],
+    [
+        (10, 26, 14, 11),
+        (11, 37, 16, 12),
+        (12, 45, 18, 14),
+        pytest.param(13, 63, 22, 16, marks=pytest.mark.long),
+    ],
 )
 def test_the_best_and_the_median_over_all_polynomials(
     n: int, order2: int, order3: int, median3: int

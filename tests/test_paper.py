@@ -81,6 +81,7 @@ def test_the_plant_is_the_differential_equation_behind_a_play(zero: bool) -> Non
     np.testing.assert_allclose(plant_output(chips, zero=zero), expected, atol=2e-4)
 
 
+@pytest.mark.long
 def test_the_benchmark_measures_what_it_says() -> None:
     numbers = json.loads(json.dumps(benchmark.measure(seed=1)))
     assert numbers["samples"] == 16383

@@ -42,7 +42,12 @@ def data_end(data: bytes) -> int:
     return end.offset
 
 
-@pytest.mark.parametrize("kind", ["ours", "no chunks", "NONE", "LZ4", "ZSTD"])
+OTHER_KINDS = ("no chunks", "NONE", "ZSTD")
+
+
+@pytest.mark.parametrize(
+    "kind", ["ours", "LZ4", *(pytest.param(it, marks=pytest.mark.long) for it in OTHER_KINDS)]
+)
 def test_cut_anywhere_it_keeps_what_was_before_the_cut(kind: str) -> None:
     data = whole(kind)
     step = len(data) // 20

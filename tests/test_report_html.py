@@ -105,6 +105,7 @@ def test_quantities_are_in_degrees_with_their_unit(analysis: Analysis, html: str
     assert "rad/s" not in text.split("All figures, in SI")[0].replace("A s/rad", "")
 
 
+@pytest.mark.long
 def test_markup_in_a_recording_stays_text() -> None:
     run = hostile_run()
     html = analysis_report(analyse(run), run)

@@ -156,7 +156,11 @@ def start_program(rig: RigConfig, folder: Path, out: Path) -> "subprocess.Popen[
 
 
 @pytest.mark.parametrize(
-    ("number", "named"), [(signal.SIGINT, "(Ctrl-C)"), (signal.SIGTERM, "(SIGTERM)")]
+    ("number", "named"),
+    [
+        (signal.SIGINT, "(Ctrl-C)"),
+        pytest.param(signal.SIGTERM, "(SIGTERM)", marks=pytest.mark.long),
+    ],
 )
 def test_a_signal_stops_the_rig_and_leaves_a_readable_recording(
     rig: RigConfig, tmp_path: Path, number: signal.Signals, named: str

@@ -18,7 +18,11 @@ def position(master: PlainMaster) -> int:
 
 @pytest.mark.parametrize(
     "plant",
-    ["tests.truth.plant:make", "tests.truth.hidden:wire_one", "tests.truth.hidden:wire_outside"],
+    [
+        "tests.truth.plant:make",
+        "tests.truth.hidden:wire_one",
+        pytest.param("tests.truth.hidden:wire_outside", marks=pytest.mark.long),
+    ],
 )
 def test_the_truth_can_stand_behind_the_wire(plant: str) -> None:
     wire_nothing(NOMINAL, 1)  # compiled here, so that the rig's process finds it in the cache

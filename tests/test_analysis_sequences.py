@@ -179,3 +179,13 @@ def test_an_angle_where_an_angle_of_an_angle_is_recorded_is_refused() -> None:
     plan = experiment("15341", memory=12, fresh=1500)
     with pytest.raises(FitError, match=r"an angle .a velocity summed up. or a drift"):
         analyse(recording_of(rows, plan))
+
+
+@pytest.mark.parametrize(("field", "degree"), [(3, 7), (5, 4)])
+def test_orders_of_more_levels_share_the_variance_that_there_is(field: int, degree: int) -> None:
+    analysis = analyse(_played(_field(field, degree), memory=4), memory=4)
+    shares = np.array(analysis.energy_percent)
+    assert np.all(shares >= 0.0)
+    assert shares.sum() <= 100.0
+    assert shares.sum() == pytest.approx(analysis.identification.vaf_order3_percent, abs=5.0)
+    assert not any("amplitude of the identification" in flag for flag in analysis.flags)

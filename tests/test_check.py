@@ -173,6 +173,12 @@ def test_readers_units_are_those_of_the_figure(tmp_path: Path) -> None:
     assert played.identification == experiment().identification
 
 
+def test_of_an_event_that_never_came_there_were_none() -> None:
+    plan = Plan(name="p", experiment="e", limits={"run.events.slot skipped": Bounds(most=0.0)})
+    (finding,) = judge(plan, small_run(1)).findings
+    assert (finding.value, finding.passed) == (0.0, True)
+
+
 @pytest.mark.parametrize(("name", "words"), [("no_such", "no figure"), ("timebase", "no number")])
 def test_a_figure_that_cannot_be_limited(name: str, words: str) -> None:
     plan = Plan(name="p", experiment="e", limits={name: Bounds(most=1.0)})

@@ -13,6 +13,7 @@ import scipy.io
 from hypothesis import given
 from hypothesis import strategies as st
 
+from servo_bench.errors import ConfigError, RecordingError
 from servo_bench.foreign.importing import read_foreign
 from servo_bench.foreign.maps import load_map
 from servo_bench.foreign.quantities import ROLES, UNITS
@@ -321,3 +322,22 @@ def test_the_documents_map_reads_a_file(tmp_path: Path) -> None:
     recording = read_foreign(tmp_path / "a.csv", load_map(tmp_path / "map.toml"))
     np.testing.assert_allclose(recording["current_a"], [-1.5e-3, -2e-3])
     np.testing.assert_allclose(np.diff(recording["motor_position_rad"]), 2 * np.pi / 4096)
+
+
+@pytest.mark.parametrize(
+    ("map_text", "rows", "said"),
+    [
+        (TIME + "optional = true\n" + CURRENT, ROWS, "a time cannot be optional"),
+        ('[file]\nencoding = "u\\u0000"\n' + PLAIN, ROWS, "there is no encoding"),
+        (PLAIN, ROWS.replace("0.5", "1_000"), "'1_000', and must be a number"),
+    ],
+)
+def test_what_no_table_can_be_is_said(tmp_path: Path, map_text: str, rows: str, said: str) -> None:
+    with pytest.raises((ConfigError, RecordingError), match=said):
+        imported(tmp_path, rows, map_text)
+
+
+def test_a_constant_that_hangs_on_an_absent_column_is_left_out_with_it(tmp_path: Path) -> None:
+    volts = '[[channel]]\nrole = "voltage"\nvalue = 12.0\ntimes = "duty"\nunit = "V"\n'
+    recording = imported(tmp_path, ROWS, PLAIN + volts + "optional = true\n")
+    assert "voltage_v" not in recording

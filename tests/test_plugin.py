@@ -158,3 +158,24 @@ def test_nowhere(recording):
 def test_recordings_are_found_where_the_project_says(stranger: Stranger) -> None:
     folder = f"servo_bench_recordings={ROOT / 'recordings'}"
     stranger(FILES, "-o", folder).assert_outcomes(passed=2)
+
+
+IN_A_FIXTURE = """
+import pytest
+
+@pytest.fixture
+def played(sim_rig, bench):
+    run = bench.run(SMALL, sim_rig())
+    assert len(run) < 0
+
+def test_of_what_was_played(played):
+    pass
+"""
+
+
+def test_a_failure_in_a_fixture_after_a_run_leaves_its_page_too(
+    stranger: Stranger, pytester: pytest.Pytester
+) -> None:
+    stranger(IN_A_FIXTURE, "--servo-bench-reports", "pages").assert_outcomes(errors=1)
+    (page,) = (pytester.path / "pages").glob("*.html")
+    assert "<svg" in page.read_text(encoding="utf-8")

@@ -237,3 +237,22 @@ def test_the_command_prints_lines_and_ends_with_what_they_come_to(tmp_path: Path
     bad = CliRunner().invoke(app, ["preflight", "experiments/demo.toml", "--rig", str(table)])
     assert bad.exit_code == 1
     assert "to mend before the rig runs" in bad.output
+
+
+def test_a_load_that_is_thrown_is_faster_than_its_motor(rig: RigConfig) -> None:
+    """In a soft gap, by a run's own arithmetic: two samples of its angle, a period apart."""
+    thrown = {"compliance_rad_per_nm": 0.02, "load_inertia_kg_m2": 5e-5, "damping_s": 5e-5}
+    soft = rig.model_copy(update={"effects": {"contact": thrown}})
+    schedule = experiment().schedule()
+    seen = predict(schedule, soft)
+    played = soft.model().simulate(schedule.velocity_rad_s, schedule.period_s)
+    step_rad = np.abs(np.diff(played.load_angle_rad)).max()
+    assert seen.load_velocity_rad_s == pytest.approx(step_rad / schedule.period_s, rel=0.05)
+    assert seen.load_velocity_rad_s > 1.1 * seen.peak_velocity_rad_s
+    limit = 0.5 * (seen.load_velocity_rad_s + seen.peak_velocity_rad_s)
+    tight = soft.model_copy(
+        update={"limits": soft.limits.model_copy(update={"velocity_rad_s": limit})}
+    )
+    found = by_subject(preflight(experiment(), tight))
+    assert found["motor velocity"].level is Level.OK
+    assert found["load velocity"].level is Level.STOP

@@ -306,3 +306,17 @@ def test_virtual_time_is_the_model_to_half_a_count() -> None:
     off = run["load_angle_rad"] - done.load_angle_rad
     assert np.abs(off - off[0]).max() < count_rad
     assert run.provenance["time"] == "virtual"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--through", "analyser", "-o", "x.mcap"), "go with --against"),
+        (("--through", "analyser", "--wire"), "go with --against"),
+        (("--against", "rigs/paper.toml", "--figures", "a.json"), "--through compares"),
+    ],
+)
+def test_an_option_of_another_way_is_refused(file: Path, words: tuple[str, ...], said: str) -> None:
+    _, _, error = _call(file, *words)
+    assert isinstance(error, ConfigError)
+    assert said in str(error)

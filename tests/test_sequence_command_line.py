@@ -4,12 +4,17 @@ import json
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from servo_bench.cli.app import app
+from servo_bench.diagnosis.judging.extended import toml_lines
 from servo_bench.errors import ConfigError
 from servo_bench.excitation.amplitude import advise_amplitude
+from servo_bench.excitation.experiment import Experiment, MSequence, RandomBinary
+from servo_bench.excitation.prediction import predict
+from servo_bench.rig import RigConfig, load_rig
 
 RUNNER = CliRunner()
 
@@ -99,3 +104,28 @@ def test_a_gap_that_is_none_is_refused(gap: float) -> None:
         advise_amplitude(
             backlash_gap_rad=gap, period_s=0.01, bandwidth_rad_s=50.0, peak_travel_periods=9.0
         )
+
+
+def test_the_amplitude_that_is_recommended_can_be_played(tmp_path: Path) -> None:
+    """With the lead-in that every experiment has, on a rig with little room."""
+    table = load_rig("rigs/paper.toml").model_dump(mode="json", exclude_none=True)
+    table["limits"]["travel_rad"] = float(np.radians(9.0))
+    rig = RigConfig.model_validate(table)
+    said_so = tmp_path / "rig.toml"
+    said_so.write_text("\n".join(toml_lines("", table)) + "\n")
+    out = tmp_path / "told.json"
+    said("amplitude", "1021", "--rig", str(said_so), "--json", str(out))
+    told_rad_s = json.loads(out.read_text())["recommended_rad_s"]
+    plan = Experiment(
+        name="told",
+        rig=str(said_so),
+        period_s=0.008,
+        memory=8,
+        identification=MSequence(polynomial="1021", amplitude_rad_s=told_rad_s),
+        validation=RandomBinary(
+            kind="random-binary", seed=1, amplitude_rad_s=told_rad_s, length=64
+        ),
+    )
+    schedule = plan.schedule()
+    assert schedule.peak_travel_rad <= rig.limits.travel_rad
+    assert predict(schedule, rig).motor_travel_rad <= rig.limits.travel_rad

@@ -26,6 +26,7 @@ from servo_bench.benchmark.reference import outside, running_reference, stolen_w
 from servo_bench.clock import NS_PER_S, monotonic_ns
 from servo_bench.errors import ConfigError
 from servo_bench.excitation.experiment import Experiment, MSequence, RandomBinary
+from servo_bench.excitation.sequences import MAX_CHIPS
 from servo_bench.recording.mcap_file import load
 from servo_bench.recording.recording import Recording
 from servo_bench.rig import load_rig
@@ -148,6 +149,11 @@ def _experiment(period_s: float, seconds: float) -> Experiment:
             f"{seconds:g} s hold {slots} periods of {period_s:g} s: at least {FEWEST_SLOTS} are "
             "measured. Give more seconds, or a shorter period."
         )
+    if slots > MAX_CHIPS:
+        raise ConfigError(
+            f"{seconds:g} s hold {slots} periods of {period_s:g} s: at most {MAX_CHIPS} are "
+            "played at once. Give fewer seconds."
+        )
     return Experiment(
         name="benchmark cycle",
         rig="rigs/paper.toml",
@@ -219,9 +225,14 @@ def _ratio(
     loop_s = loop[1][outside(loop[0], stolen, period_ns)]
     reference_ns = late_ns[outside(due_ns, stolen, period_ns)]
     return {
-        name: float(np.percentile(loop_s * NS_PER_S, mark) / np.percentile(reference_ns, mark))
+        name: _percentile(loop_s * NS_PER_S, mark) / _percentile(reference_ns, mark)
         for name, mark in (("p50", 50.0), ("p99", 99.0))
     }
+
+
+def _percentile(values: NDArray[np.floating] | NDArray[np.integer], mark: float) -> float:
+    """NaN of nothing: the machine may have been taken away in every cycle."""
+    return float(np.percentile(values, mark)) if values.size else float("nan")
 
 
 def _unexplained(recording: Recording, stolen: NDArray[np.int64], period_ns: int) -> list[int]:

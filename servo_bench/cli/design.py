@@ -57,6 +57,8 @@ def diagnosis(
     config = load_rig(rig)
     names = () if effects == "all" else tuple(n.strip() for n in effects.split(",") if n.strip())
     check_effects(names)
+    if names and verdict is not None:
+        raise ConfigError("--effects and --verdict both say what to tell apart: give one of them.")
     told = read_verdict(verdict) if verdict is not None else None
     pairs = ambiguous_pairs(told) if told is not None else frozenset[frozenset[str]]()
     only = tuple(sorted(frozenset().union(*pairs))) if pairs else names

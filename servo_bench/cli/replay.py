@@ -72,6 +72,10 @@ def replay(
         raise ConfigError("give one of --to URL, --against RIG, --through analyser.")
     if to is not None and (json or out):
         raise ConfigError("--to shows a run on the page and writes nothing: no --json, no --out.")
+    if against is None and (out or wire or permit_real_rig):
+        raise ConfigError("--out, --wire and --permit-real-rig go with --against: leave them out.")
+    if through is None and figures:
+        raise ConfigError("--figures are what --through compares with: leave them out.")
     check_outputs(json, out)
     console = Console(stderr=True, emoji=False)
     if to is not None:

@@ -12,15 +12,19 @@ from rich.table import Table
 
 from servo_bench.cli.output import check_outputs, write_json
 from servo_bench.excitation.amplitude import advise_amplitude
+from servo_bench.excitation.experiment import Experiment
 from servo_bench.excitation.msequence import m_sequence
 from servo_bench.excitation.search import SequenceSearch
 from servo_bench.excitation.search import search as search_polynomials
 from servo_bench.kernels.slices import Slice, described, sequence_slices
 from servo_bench.rig import load_rig
 
-COLUMNS = 64
+COLUMNS, MARGIN = 64, 0.95
 SHADES = " .:+*#"
 """From no element in a column of shifts to the most that any column holds."""
+
+LEAD_IN = int(Experiment.model_fields["lead_in"].default)
+"""Chips of an experiment that says nothing of it."""
 
 app = typer.Typer(no_args_is_help=True, help="Choose an M-sequence, and see what it can tell.")
 Json = Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")]
@@ -87,20 +91,25 @@ def amplitude(
     period_s: Annotated[float, typer.Option(help="Period of the chips.")] = 0.008,
     json: Json = None,
 ) -> None:
-    """The range of velocities that shows a rig's backlash within its limits."""
+    """The range of velocities that shows a rig's backlash within its limits.
+
+    What travels is the period and the usual lead-in; of the travel limit 5 % are kept.
+    """
     check_outputs(json)
     loaded = load_rig(rig)
     nominal, limits = loaded.nominal, loaded.limits
     bandwidth = np.sqrt(
         nominal.integral_gain_a_per_rad * nominal.torque_constant_nm_per_a / nominal.inertia_kg_m2
     )
-    travel = np.abs(np.cumsum(m_sequence(polynomial), dtype=np.int64)).max()
+    chips = m_sequence(polynomial).astype(np.int64)
+    led_in = np.concatenate([np.resize(chips[::-1], LEAD_IN)[::-1], chips])
+    travel = np.abs(np.cumsum(led_in)).max()
     advice = advise_amplitude(
         backlash_gap_rad=nominal.backlash_gap_rad,
         period_s=period_s,
         bandwidth_rad_s=float(bandwidth),
         peak_travel_periods=float(travel),
-        travel_limit_rad=limits.travel_rad,
+        travel_limit_rad=MARGIN * limits.travel_rad,
         velocity_limit_rad_s=limits.velocity_rad_s,
     )
     if json is not None:

@@ -142,6 +142,8 @@ def _fitted(  # noqa: PLR0917 - the grid's axes
     tries = [bias * 0.5**k for k in range(HALVINGS)] if bias else [0.0]
     for one in tries:
         size = min(amplitude, MARGIN * rig.limits.velocity_rad_s - one)
+        if size < SMALLEST_RAD_S:
+            continue
         for _ in range(SHRINKINGS):
             plan = _plan(rig_name, levels, dwell, size, round(one, 4), slots, period_s)
             schedule = plan.experiment.schedule()
@@ -171,6 +173,7 @@ def _used_by_motion(schedule: Schedule, rig: RigConfig) -> float:
         seen.motor_travel_rad / limits.travel_rad,
         seen.load_travel_rad / limits.travel_rad,
         seen.peak_velocity_rad_s / limits.velocity_rad_s,
+        seen.load_velocity_rad_s / limits.velocity_rad_s,
     ]
     if limits.torque_nm is not None:
         torque_nm = seen.peak_current_a * rig.nominal.torque_constant_nm_per_a

@@ -81,21 +81,29 @@ def conclude(
             recordings, model=model, held_out=held_out, without=without, only=only, report=report
         )
         report("writing the verdict")
-        return Concluded(_open_still(_told(finding), same), finding)
+        return Concluded(_open_still(_told(finding, without, only), same), finding)
     except FAILED as error:
         return Concluded(undecided(error, recordings), None)
 
 
-def _told(finding: Finding) -> Verdict:
+def _told(finding: Finding, without: Collection[str], only: Collection[str]) -> Verdict:
     """The verdict on a finding, with its picture and what this excitation leaves open."""
     verdict = verdict_of(finding)
     first = finding.recordings[0]
     more = {
         "signature": picture(finding),
+        "notes": (*verdict.notes, *_asked(without, only)),
         "undecided": (*verdict.undecided, *open_questions(first)),
         "next_run": what_next(verdict, first),
     }
     return verdict.model_copy(update=more)
+
+
+def _asked(without: Collection[str], only: Collection[str]) -> tuple[str, ...]:
+    """Where not the whole catalogue was."""
+    named = [f"only {', '.join(sorted(only))}"] if only else []
+    named += [f"not {', '.join(sorted(without))}"] if without else []
+    return (f"Of the catalogue was asked, as ordered: {'; '.join(named)}.",) if named else ()
 
 
 def _open_still(verdict: Verdict, more: tuple[str, ...]) -> Verdict:

@@ -22,11 +22,13 @@ SLOTS_AT_ONCE = 1 << 15
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """What the model says; peaks are magnitudes."""
+    """What the model says; peaks are magnitudes. The load's velocity is the mean over a period, as
+    a run reckons it from two samples of its angle."""
 
     motor_travel_rad: float
     load_travel_rad: float
     peak_velocity_rad_s: float
+    load_velocity_rad_s: float
     peak_current_a: float
     rms_current_a: float
 
@@ -48,6 +50,7 @@ def predict(schedule: Schedule, rig: RigConfig) -> Prediction:
         motor_travel_rad=seen.motor_rad,
         load_travel_rad=seen.load_rad,
         peak_velocity_rad_s=seen.velocity_rad_s,
+        load_velocity_rad_s=seen.load_step_rad / schedule.period_s,
         peak_current_a=max(seen.current_a, step_a),
         rms_current_a=float(np.sqrt(seen.squares_a2 / (PIECES * commands.size))),
     )
@@ -61,6 +64,7 @@ class _Extremes(NamedTuple):
     motor_rad: float = 0.0
     load_rad: float = 0.0
     velocity_rad_s: float = 0.0
+    load_step_rad: float = 0.0
     current_a: float = 0.0
     squares_a2: float = 0.0
 
@@ -69,10 +73,11 @@ class _Extremes(NamedTuple):
             motor_rad=_larger(self.motor_rad, seen.motor_angle_rad - self.motor_from_rad),
             load_rad=_larger(self.load_rad, seen.load_angle_rad - self.load_from_rad),
             velocity_rad_s=_larger(self.velocity_rad_s, seen.motor_velocity_rad_s),
+            load_step_rad=_larger(self.load_step_rad, np.diff(seen.load_angle_rad[::PIECES])),
             current_a=_larger(self.current_a, seen.motor_current_a),
             squares_a2=self.squares_a2 + float((seen.motor_current_a**2).sum()),
         )
 
 
 def _larger(before: float, values: NDArray[np.float64]) -> float:
-    return max(before, float(np.abs(values).max()))
+    return max(before, float(np.abs(values).max(initial=0.0)))

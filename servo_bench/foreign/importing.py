@@ -87,7 +87,7 @@ def _columns(
         raise ConfigError(f"{path} has none of the map's columns. Give the map of this file.")
     height = len(next(iter(columns.values())))
     for one in channels:
-        if one.entry.value is not None:
+        if one.entry.value is not None and one not in absent:
             constant = np.full(height, one.entry.value)
             columns[one.name] = _told(table, one.entry, constant, path)
     return columns, absent

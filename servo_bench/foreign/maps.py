@@ -152,6 +152,11 @@ def _wanted(entry: ChannelMap, where: str) -> Wanted:
             f"{where}: column is {entry.column!r} and value is {entry.value!r}. Give one of them: "
             "a column of the file, or one value for all rows."
         )
+    if entry.optional and entry.role == "time":
+        raise ConfigError(
+            f"{where}: a time cannot be optional. Leave optional out; a file without a time has a "
+            "period_s."
+        )
     if entry.unwrap and role.quantity != "angle":
         raise ConfigError(
             f"{where}: unwrap undoes the wrap of an angle at one revolution, and this is a "

@@ -76,7 +76,7 @@ class TextTable:
         if not text:
             return np.nan
         try:
-            return float(text)
+            return float(text.replace("_", "?"))  # only Python parts digits so
         except ValueError as error:
             raise RecordingError(
                 f"{self.file}, {self.place(row)}: column {column!r} is {cell[:40]!r}, and must "

@@ -43,15 +43,15 @@ def _lines(path: Path, data: bytes, layout: FileLayout) -> list[tuple[int, str]]
     encoding = "utf-8-sig" if layout.encoding.lower() in ("utf-8", "utf8") else layout.encoding
     try:
         text = data.decode(encoding)
-    except LookupError as error:
-        raise ConfigError(
-            f"there is no encoding {layout.encoding!r}. Give utf-8, latin-1, utf-16 or another "
-            "that Python knows."
-        ) from error
     except UnicodeError as error:
         raise RecordingError(
             f"{path} is no text in {layout.encoding}: {error}. Give its encoding in the map's "
             "[file], or its format where it is csv, json, mat, npz or parquet by another name."
+        ) from error
+    except (LookupError, ValueError) as error:
+        raise ConfigError(
+            f"there is no encoding {layout.encoding!r}. Give utf-8, latin-1, utf-16 or another "
+            "that Python knows."
         ) from error
     if "\0" in text:
         raise RecordingError(

@@ -22,6 +22,7 @@ from servo_bench.kernels.plays import (
     plays_of,
     separated_orders,
 )
+from servo_bench.kernels.predict import predict
 from servo_bench.kernels.quality import RunQuality, run_quality
 from servo_bench.kernels.response import LARGEST_UNEVENNESS, Response, Timebase, response_of
 from servo_bench.kernels.separation import SeparatedKernels
@@ -176,7 +177,7 @@ def analyse(
     kernels, variance = main.kernels, float(main.periods.var())
     chips = main.found.played.chips
     noise = _noise_rad_s(recording, response)
-    shares = 100.0 * kernels.energies[1:] / variance
+    shares = _shares_percent(kernels, main.periods.mean(axis=0), chips)
     validation = _validation(kernels, response, delay)
     flags = _flags(recording, response, main, validation, delay=delay)
     if left_out:
@@ -298,12 +299,34 @@ def _flags(
         )
     else:
         played = np.abs(response.command_rad_s[response.slots_of(Phase.VALIDATION)])
+        if kernels.levels > 2:  # between its outermost levels it has others
+            played = played.max(keepdims=True)
         if np.abs(played - kernels.amplitude).max() > 1e-3 * kernels.amplitude:
             flags.append(
                 "The validation was not played at the amplitude of the identification: kernels "
                 "hold at their own amplitude only."
             )
     return flags
+
+
+def _shares_percent(kernels: Kernels, period: Array, chips: Array) -> Array:
+    """Of the response's variance, in each of the orders 1 to 3, %; shape (3,).
+
+    Of two levels by Parseval. On more levels orders overlap (u^3 is not u's stranger there): each
+    is told what it explains of the period beside those below it, fitted as a whole.
+    """
+    variance = float(np.var(period))
+    if kernels.levels == 2 or variance == 0.0:
+        return np.asarray(100.0 * kernels.energies[1:] / variance)
+    upto = [predict(kernels, chips, order, history=chips) for order in (1, 2, 3)]
+    parts = np.stack([upto[0], upto[1] - upto[0], upto[2] - upto[1]], axis=1)
+    parts -= parts.mean(axis=0)
+    centred, explained = period - period.mean(), [0.0]
+    for orders in (1, 2, 3):
+        known = parts[:, :orders]
+        left = centred - known @ np.linalg.lstsq(known, centred)[0]
+        explained.append(100.0 * (1.0 - float(np.var(left)) / variance))
+    return np.diff(explained)
 
 
 def _rms(values: Array) -> float:

@@ -84,7 +84,7 @@ def pytest_runtest_makereport(
     """After a failure: the page, its place in the test's output and in the JUnit properties."""
     report = yield
     bench = item.stash.get(BENCH, None)
-    if report.failed and call.when == "call" and bench is not None:
+    if report.failed and call.when != "teardown" and bench is not None:
         from servo_bench.pytest_plugin.failure import write_page  # noqa: PLC0415
 
         folder = item.config.getoption("--servo-bench-reports")

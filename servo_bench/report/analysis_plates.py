@@ -1,13 +1,11 @@
 """The figures of an experiment: 7 to 10 of the paper, the energies, and the run itself."""
 
-from math import comb
-
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_bench.estimators.figures import KernelFigures
 from servo_bench.estimators.study import Study
 from servo_bench.kernels.analysis import Analysis, Validation
-from servo_bench.kernels.volterra import Kernels
 from servo_bench.recording.recording import Recording
 from servo_bench.report.distortion_words import scatter_percent
 from servo_bench.report.estimator_tables import label_rows
@@ -30,6 +28,10 @@ from servo_bench.report.prediction_figures import (
 from servo_bench.report.quality_figures import draw_punctuality, draw_timeline
 from servo_bench.report.style import drawn, symmetric_limit
 from servo_bench.report.wording import DEG, percent, quantity, small_percent
+
+Array = NDArray[np.float64]
+
+NONE = "none: the memory holds no such element"
 
 POSTERIOR_WORDS = (
     " Orange: the regularised posterior, with its 95 % band, which has taken the aliases of orders "
@@ -240,23 +242,41 @@ def _second_facts(analysis: Analysis) -> Facts:
     return (
         ("energy share", small_percent(analysis.energy_percent[1])),
         ("scatter alone gives", small_percent(scatter_percent(analysis, 2))),
-        ("largest 2 A² |g₂|", quantity(symmetric_limit(kernels.c2), DEG, "deg/s")),
+        ("largest 2 A² |g₂|", _largest(2.0 * kernels.amplitude**2 * kernels.g2_matrix)),
         ("largest A |g₁|", quantity(symmetric_limit(kernels.c1), DEG, "deg/s")),
     )
 
 
 def _third_facts(analysis: Analysis) -> Facts:
     kernels = analysis.kernels
-    largest = quantity(symmetric_limit(kernels.c3), DEG, "deg/s")
+    sections = [kernels.g3_section(k) for k in range(kernels.memory)]
+    g3 = 6.0 * kernels.amplitude**3 * np.stack(sections)
+    largest = _largest(g3)
+    if largest != NONE:
+        largest += f" at {_lags(g3)}"
     return (
         ("energy share", small_percent(analysis.energy_percent[2])),
         ("scatter alone gives", small_percent(scatter_percent(analysis, 3))),
-        ("largest 6 A³ |g₃|", f"{largest} at {_lags(kernels)}"),
-        ("elements", f"{comb(kernels.memory, 3)}"),
+        ("largest 6 A³ |g₃|", largest),
+        ("elements", f"{_elements(g3)}"),
     )
 
 
-def _lags(kernels: Kernels) -> str:
+def _largest(kernel: Array) -> str:
+    """Of the elements that were identified, as they are drawn; `NONE` where none was."""
+    if not np.isfinite(kernel).any():
+        return NONE
+    return quantity(symmetric_limit(kernel), DEG, "deg/s")
+
+
+def _elements(kernel: Array) -> int:
+    """How many of a symmetric kernel's elements were identified, each once."""
+    places = np.argwhere(np.isfinite(kernel))
+    return int(np.count_nonzero(np.all(np.diff(places, axis=1) >= 0, axis=1)))
+
+
+def _lags(kernel: Array) -> str:
     """Where the third kernel is largest."""
-    place = np.unravel_index(int(np.argmax(np.abs(kernels.c3))), kernels.c3.shape)
-    return "τ = " + ", ".join(str(int(lag)) for lag in place)
+    known = np.nan_to_num(np.abs(kernel))
+    place = sorted(int(lag) for lag in np.unravel_index(int(np.argmax(known)), kernel.shape))
+    return "τ = " + ", ".join(str(lag) for lag in place)

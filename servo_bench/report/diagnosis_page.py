@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from servo_bench.diagnosis.elsewhere import Shown
-from servo_bench.diagnosis.judging.picture import track_of
+from servo_bench.diagnosis.judging.picture import CLIP, Track, track_of
 from servo_bench.diagnosis.judging.verdict import Cause, Verdict
 from servo_bench.diagnosis.searching.contenders import Contender, Round
 from servo_bench.diagnosis.searching.finding import Finding
@@ -27,6 +27,8 @@ NO_KERNELS = (
     "Left out: kernels can be told from whole periods of an M-sequence, an inverse-repeat, a field "
     "or a multi-amplitude sequence, with the load's angle, and this recording has not all of that."
 )
+CLIPPED = 0.005
+"""Share of the error that is drawn smaller than it is, from which on that is said."""
 EMPTY: dict[str, Any] = {
     **dict.fromkeys(("gains", "before_after", "evidence", "evidence_words", "signature"), ()),
     **dict.fromkeys(("shares", "kernel_rows", "kernel_plates"), ()),
@@ -72,7 +74,7 @@ def diagnosis_report(
         warnings=[*verdict.notes, *verdict.undecided],
         causes=[row for cause in verdict.causes for row in _cause_rows(cause)],
         next_run=verdict.next_run,
-        no_kernels=NO_KERNELS,
+        no_kernels=NO_KERNELS if finding is not None else "",
         limits=[
             (
                 f"{limit.effect}.{limit.parameter}",
@@ -122,13 +124,22 @@ def _found(verdict: Verdict, finding: Finding) -> dict[str, Any]:
                 ),
                 "Where the error is",
                 f"{track.signal.name}, measured less simulated by the base: nominal values, and "
-                "what every rig has beside its drawing.",
+                f"what every rig has beside its drawing.{_clipped(track)}",
             )
         ],
         "shares": _shares(verdict),
         "kernel_rows": story.rows() if story is not None else (),
         "kernel_plates": [_kernels(story)] if story is not None else (),
     }
+
+
+def _clipped(track: Track) -> str:
+    if track.clipped_share < CLIPPED:
+        return ""
+    return (
+        f" {percent(100.0 * track.clipped_share, 0)} of it is larger than {CLIP:g} robust standard "
+        "deviations, and drawn as that: blows and jumps stand higher than here."
+    )
 
 
 def _before_after(found: Judged) -> Plate:

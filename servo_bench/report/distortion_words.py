@@ -22,6 +22,10 @@ EVEN = (
     "even: something differs between the directions, as a bias, gravity, one-sided friction, or a "
     "drive's offset"
 )
+OR_ALIASES = (
+    " (or aliases of orders from 5 on, which one M-sequence has and an inverse-repeat sequence has "
+    "not)"
+)
 
 ALIKE = "No difference between the directions stands out of the scatter."
 
@@ -57,13 +61,15 @@ def distortion_sentences(analysis: Analysis) -> list[str]:
     """The statement: kind, levels, and what is left."""
     linear, even, odd = analysis.energy_percent
     odd_shown, even_shown = shown(analysis, 3), shown(analysis, 2)
+    apart = analysis.played.kind == "inverse-repeat"
+    even_words = EVEN if apart else f"{EVEN}{OR_ALIASES}"
     match odd_shown, even_shown:
         case True, True:
-            kind = f"The nonlinearity is both {ODD}; and {EVEN}."
+            kind = f"The nonlinearity is both {ODD}; and {even_words}."
         case True, False:
             kind = f"The nonlinearity is {ODD}. {ALIKE}"
         case False, True:
-            kind = f"The nonlinearity is {EVEN}. Nothing odd is seen."
+            kind = f"The nonlinearity is {even_words}. Nothing odd is seen."
         case _:
             kind = "No nonlinearity of order 2 or 3 stands out of the scatter."
     levels = (

@@ -61,6 +61,7 @@ def analysis_report(analysis: Analysis, recording: Recording, study: Study | Non
         trust=trust_sentence(study) if study else "",
         distortion=distortion_sentences(analysis),
         warnings=_warnings(analysis, recording),
+        answers_known="drive_latency_s" in recording,
         predictions=prediction_rows(analysis),
         conditions=condition_rows(analysis),
         run=run_rows(analysis.quality, recording),
@@ -138,6 +139,8 @@ def _warnings(analysis: Analysis, recording: Recording) -> list[str]:
     found = list(analysis.flags)
     if quality.missed_slots:
         found.append(f"{quality.missed_slots} of {quality.slots} slots were missed.")
+    if quality.missing_drive_answers:
+        found.append(f"{quality.missing_drive_answers} answers of the drive did not come.")
     if quality.late_answers:
         found.append(f"{quality.late_answers} answers came later than one period.")
     odd = [event for event in recording.events if event.kind not in ORDINARY_EVENTS]

@@ -89,13 +89,14 @@ def sequence_words(analysis: Analysis) -> str:
 
 def run_rows(quality: RunQuality, recording: Recording) -> list[Row]:
     """How the run went."""
+    answers, timed = str(quality.missing_drive_answers), "drive_latency_s" in recording
     return [
         Row("duration", f"{quality.slots * recording.period_s:.1f} s, {quality.slots} slots"),
         *_fast_rows(recording),
         Row("missed slots", str(quality.missed_slots)),
-        Row("missing answers of the drive", str(quality.missing_drive_answers)),
+        Row("missing answers of the drive", answers if timed else "not recorded"),
         Row("missing answers of the encoder", str(quality.missing_encoder_answers)),
-        Row("answers later than a period", str(quality.late_answers)),
+        Row("answers later than a period", str(quality.late_answers) if timed else "not recorded"),
         Row("lateness p50", _us(quality.lateness_p50_s)),
         Row("lateness p99", _us(quality.lateness_p99_s)),
         Row("lateness max", _us(quality.lateness_max_s)),

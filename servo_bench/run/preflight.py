@@ -118,6 +118,7 @@ def _motion(schedule: Schedule, rig: RigConfig) -> list[Finding]:
         ("motor travel", seen.motor_travel_rad, rig.limits.travel_rad, "deg"),
         ("load travel", seen.load_travel_rad, rig.limits.travel_rad, "deg"),
         ("motor velocity", seen.peak_velocity_rad_s, rig.limits.velocity_rad_s, "deg/s"),
+        ("load velocity", seen.load_velocity_rad_s, rig.limits.velocity_rad_s, "deg/s"),
     ):
         text = (
             f"the model reaches {math.degrees(got_rad):.4g} {unit}, the limit is "

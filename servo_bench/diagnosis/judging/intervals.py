@@ -101,8 +101,10 @@ def cramer_rao(found: Found) -> Array:
 
 
 def limits_of(finding: Finding, causes: Sequence[Cause]) -> Iterator[Limit]:
-    """For each fitted cause the smallest size found nine times in ten, and the bound beside it."""
+    """For each fitted cause the smallest size that is found nine times in ten and worth a name on
+    this rig, and the bound beside what the sandwich of the data alone reaches."""
     names = names_of(finding.final)
+    worth = material_sizes(finding.scales)
     bound, reached = cramer_rao(finding.final), standard_errors(finding.final)
     for cause in causes:
         strength = find_effect(cause.effect).strengths[0]
@@ -114,7 +116,7 @@ def limits_of(finding: Finding, causes: Sequence[Cause]) -> Iterator[Limit]:
             effect=cause.effect,
             parameter=strength,
             unit=unit_of(strength),
-            detectable=float(DETECTION * reached[k]),
+            detectable=max(float(DETECTION * reached[k]), worth.get(cause.effect, 0.0)),
             cramer_rao=float(bound[k]),
             ratio=float(reached[k] / bound[k]) if bound[k] > 0.0 else None,
         )

@@ -80,7 +80,7 @@ def verdict_of(finding: Finding) -> Verdict:
     error = error_figures(finding, model, [c.effect for c in named])
     return Verdict(
         verdict=kind,
-        sentence=_sentence(kind, named, strange, error, told, nominal=finding.nominal),
+        sentence=_sentence(kind, named, strange, error, told, finding=finding),
         causes=named,
         error=error,
         limit=tuple(limits_of(finding, named)),
@@ -257,7 +257,7 @@ def _sentence(
     error: ErrorFigures | None,
     tried: Sequence[Cause],
     *,
-    nominal: Model,
+    finding: Finding,
 ) -> str:
     gain = ""
     if error is not None and kind == "named":
@@ -272,7 +272,7 @@ def _sentence(
             )
         gain += "."
     if kind == "named":
-        told = " and ".join(_told(c, nominal) for c in named)
+        told = " and ".join(_told(c, finding.nominal) for c in named)
         return f"The simulation lacks {told}.{gain}"
     if kind == "none":
         return (
@@ -282,9 +282,9 @@ def _sentence(
     if strange:
         return f"Something is wrong that the catalogue does not have. {strange[0]}"
     like = f" It comes nearest to {tried[0].effect}." if tried else ""
+    asked = "effect that was asked" if finding.narrowed else "effect of the catalogue"
     return (
-        "The simulation is wrong by more than its usual floor, and no effect of the catalogue "
-        f"explains it.{like}"
+        f"The simulation is wrong by more than its usual floor, and no {asked} explains it.{like}"
     )
 
 

@@ -52,6 +52,7 @@ class Track:
     jumps_rad_s: Array
     still: Mask
     times_allowed: float
+    clipped_share: float
 
     def at_known(self, values: Array) -> Array:
         """The values at known points."""
@@ -89,8 +90,16 @@ def track_of(finding: Finding, signal: int | None = None) -> Track:
         current_a=motion[2],
         jumps_rad_s=np.diff(commands, prepend=commands[:1]),
         still=_still(commands),
-        times_allowed=float(np.nan_to_num(finding.misfit_before)[k]),
+        times_allowed=_times_allowed(finding, k),
+        clipped_share=float(np.mean(np.abs(error) >= bound)) if known.any() else 0.0,
     )
+
+
+def _times_allowed(finding: Finding, k: int) -> float:
+    """Over one row or more: in sums over many rows an error stands out of the noise."""
+    signals, misfit = finding.whole.fitted[0].signals, np.nan_to_num(finding.misfit_before)
+    same = [j for j, other in enumerate(signals) if other.channel == signals[k].channel]
+    return max(float(misfit[j]) for j in same)
 
 
 def _motion(comparison: Comparison, model: Model) -> tuple[Array, Array, Array]:

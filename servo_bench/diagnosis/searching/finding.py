@@ -135,6 +135,7 @@ class Finding:
     misfit_before: Array
     misfit_after: Array
     notes: tuple[str, ...] = ()
+    narrowed: bool = False
     seconds: float = 0.0
 
     @property
@@ -249,6 +250,7 @@ def find_causes(
         misfit_before=before,
         misfit_after=misfit(whole, final.errors, _beside(whole, final.model, scales, grid)),
         notes=(*ready.notes, *_of_the_rows(came, rows), *_of_words(came, model)),
+        narrowed=bool(without or only),
         seconds=time.perf_counter() - began,
     )
 

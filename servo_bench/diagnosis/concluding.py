@@ -103,7 +103,7 @@ def _asked(without: Collection[str], only: Collection[str]) -> tuple[str, ...]:
     """Where not the whole catalogue was."""
     named = [f"only {', '.join(sorted(only))}"] if only else []
     named += [f"not {', '.join(sorted(without))}"] if without else []
-    return (f"Of the catalogue was asked, as ordered: {'; '.join(named)}.",) if named else ()
+    return (f"Asked of the catalogue, as ordered: {'; '.join(named)}.",) if named else ()
 
 
 def _open_still(verdict: Verdict, more: tuple[str, ...]) -> Verdict:

@@ -72,7 +72,7 @@ def test_a_load_that_coasts_is_found_to_do_so_by_its_own_encoder_alone() -> None
     assert slowing_rad_s2(better.model) == pytest.approx(SLOWED_RAD_S2, rel=0.3)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_what_was_fitted_to_a_load_that_stands_is_not_all_that_a_search_begins_with(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -102,7 +102,7 @@ def test_usual_is_the_middle_of_every_band_and_what_a_cause_has_stays() -> None:
     assert back.effects["cogging"] == model.effects["cogging"]
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_what_coasts_takes_no_cause_from_a_torque_constant_by_the_loads_encoder_alone() -> None:
     """Friction of the load, with a mass that is fitted to it, takes most of what the gap does."""
     rig = MODEL.with_effect("torque_constant_error", error_fraction=0.04)
@@ -159,7 +159,7 @@ def test_a_face_that_takes_more_of_a_fast_blow_is_found(slope_s_per_rad: float) 
         assert given_back(better.model, speed_rad_s) == pytest.approx(there, abs=0.06)
 
 
-@pytest.mark.parametrize("face_s", [pytest.param(1e-6, marks=pytest.mark.long), 2e-5, 1.2e-4, 1e-3])
+@pytest.mark.parametrize("face_s", [pytest.param(1e-6, marks=pytest.mark.nightly), 2e-5, 1.2e-4, 1e-3])
 def test_what_a_face_gives_back_of_a_blow(face_s: float) -> None:
     """A mass on a spring and damper, until the force is used up."""
     model = coasting(MODEL, SLOWED_RAD_S2, Face(face_s, 0.0))

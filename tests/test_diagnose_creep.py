@@ -93,7 +93,7 @@ def test_creep_of_half_a_recording_is_none() -> None:
     assert creep(against(with_channels(recording, load_angle_rad=angle)), RUBBING) is None
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_its_verdict_is_unknown_and_says_what_it_is() -> None:
     recording = gives_way(run(77, MODEL), 0.15, 0.4)
     verdict = verdict_of(find_causes([recording], MODEL, only=("misalignment",)))

@@ -95,7 +95,7 @@ def test_a_wrong_inertia_is_not_taken_for_it_and_does_not_hide_it(wrong: float) 
     assert crossed(skewed(5, -DELAY_S / 5.0), other) == pytest.approx(5.0, abs=8 * PERIOD_S)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize("after_s", [3.0, 8.0])
 def test_the_skew_is_named_with_its_size(after_s: float) -> None:
     skew = -DELAY_S / after_s
@@ -105,7 +105,7 @@ def test_the_skew_is_named_with_its_size(after_s: float) -> None:
     assert cause.parameters["skew_fraction"].value == pytest.approx(skew, rel=0.2)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_clock_whose_jumps_show_a_drives_tick_after_it_crossed_is_named() -> None:
     """In the independent plant, whose drive has ticks: a good part of a jump shows after 8 s, where
     -22e-6 had crossed at 3."""

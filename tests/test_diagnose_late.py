@@ -46,7 +46,7 @@ def again(
     return asked_again(late, late.whole, plain, plain, lambda _: None)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_coupling_is_found_where_the_load_coasts_beside_it() -> None:
     found = again(coasting(SOFT, SLOWED_RAD_S2), 61, slots=1600)
     assert found is not None
@@ -57,7 +57,7 @@ def test_a_coupling_is_found_where_the_load_coasts_beside_it() -> None:
     assert found_rad_per_nm == pytest.approx(COMPLIANCE_RAD_PER_NM, rel=0.15)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_coupling_that_hides_behind_a_load_that_coasts_is_named() -> None:
     run = recorded(coasting(SOFT, SLOWED_RAD_S2), 65, slots=1200)
     found = find_causes([run], MODEL, only=(COUPLING,))
@@ -89,7 +89,7 @@ def test_where_nothing_coasts_nothing_is_asked() -> None:
     assert again(SOFT, 64) is None
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("line_nm", "causes"),
     [(2.4e-4, ["inverter_dead_time"]), (8e-4, ["cogging", "inverter_dead_time"])],

@@ -247,7 +247,7 @@ def test_what_warms_takes_over_the_friction_that_is_taken_away() -> None:
     assert less.value("thermal_friction.cold_torque_nm") == pytest.approx(0.02, rel=0.02)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_what_is_held_out_has_no_part_in_the_verdict() -> None:
     """Another rig's recording as hold-out: the same causes and numbers, and another gain."""
     hidden = MODEL.with_effect("cogging", torque_nm=COGGING_NM, order=ORDER)
@@ -333,7 +333,7 @@ WEIGHTED = {"torque_nm": 0.02, "phase_rad": 0.7}
 HEAVY = {"compliance_rad_per_nm": 2e-3, "load_inertia_kg_m2": 1e-5}
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize("times", [0.03, 1.0, 20.0])
 @pytest.mark.parametrize(
     ("effect", "hidden", "power", "beside"),

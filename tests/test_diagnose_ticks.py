@@ -89,7 +89,7 @@ def test_every_step_of_the_staircase_stays_in_the_slow_velocities() -> None:
 
 
 @pytest.mark.parametrize(("seed", "seconds"), [(871005, 44.0), (871011, 16.0)])
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_clock_that_walks_past_a_few_ticks_is_named(seed: int, seconds: float) -> None:
     """Its delay goes in steps, which a slope would take for a change, and its number is not sure
     after 16 s: still it takes most of what is wrong."""

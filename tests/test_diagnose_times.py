@@ -54,7 +54,7 @@ def test_an_even_clock_is_found_under_its_stamps() -> None:
     assert steps == pytest.approx(np.rint(steps), abs=1e-5)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_stamps_that_stray_from_the_motion_are_not_believed() -> None:
     verdict = diagnose([stamped(logged(32), 32, 4e-4)], model=MODEL)
     assert verdict.verdict == "none", verdict.sentence
@@ -63,7 +63,7 @@ def test_stamps_that_stray_from_the_motion_are_not_believed() -> None:
     assert verdict.error.after < 2.0 * verdict.error.noise_floor
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_stamps_that_the_motion_follows_are_believed() -> None:
     """The rows really came unevenly, and every command with its row."""
     uneven = np.cumsum(np.random.default_rng(33).uniform(0.9, 1.1, SLOTS)) * PERIOD_S
@@ -132,7 +132,7 @@ def test_a_command_that_other_rows_tell_is_not_guessed() -> None:
     assert with_rows_in_holes(found)[1] == ()
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_missing_rows_cost_neither_a_verdict_nor_a_cause() -> None:
     """Nothing is made of them, of all that could be; and friction is told from what is like it."""
     rubbing = MODEL.with_effect("coulomb", torque_nm=0.012)

@@ -12,7 +12,7 @@ from tests.third.told import run_trial
 pytestmark = pytest.mark.skipif(not has_compiler(), reason="there is no C compiler")
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize(("seed", "kind"), [(1, "null"), (5, "pair")])
 def test_what_is_hidden_in_a_third_hands_rig_is_named_and_nothing_else(
     seed: int, kind: str

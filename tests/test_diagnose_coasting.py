@@ -159,7 +159,9 @@ def test_a_face_that_takes_more_of_a_fast_blow_is_found(slope_s_per_rad: float) 
         assert given_back(better.model, speed_rad_s) == pytest.approx(there, abs=0.06)
 
 
-@pytest.mark.parametrize("face_s", [pytest.param(1e-6, marks=pytest.mark.nightly), 2e-5, 1.2e-4, 1e-3])
+@pytest.mark.parametrize(
+    "face_s", [pytest.param(1e-6, marks=pytest.mark.nightly), 2e-5, 1.2e-4, 1e-3]
+)
 def test_what_a_face_gives_back_of_a_blow(face_s: float) -> None:
     """A mass on a spring and damper, until the force is used up."""
     model = coasting(MODEL, SLOWED_RAD_S2, Face(face_s, 0.0))

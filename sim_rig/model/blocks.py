@@ -41,7 +41,8 @@ def controller(
 ) -> Array:
     """The current, A, at every sample, before that sample's command acts. n - 1 commands.
 
-    The first value is what the integrator's state at the start makes of the first velocity.
+    The first value is what the integrator's state at the start makes of the first velocity. A clock
+    of commands that is ahead (`clock_skew` below zero) is not played here: in the whole loop only.
     """
     commands = own_array(commands_rad_s)
     done = _from_motion(

@@ -170,6 +170,7 @@ class TruthPlant:
         effects = self._effects
         due_s = sent_s * (1.0 + effects.clock_skew) + effects.transport_delay_s
         arrived = self._losses.random(due_s.size) >= effects.missed_probability
+        arrived |= np.isnan(command)  # no telegram: the drive switches itself off
         late_s = effects.command_jitter_s * np.abs(self._jitter.standard_normal(due_s.size))
         self._edge_s = np.append(self._edge_s, (due_s + late_s)[arrived])
         self._edge_rad_s = np.append(self._edge_rad_s, command[arrived])

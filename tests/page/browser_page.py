@@ -5,14 +5,16 @@
 Screenshots are kept in tests/page/output.
 """
 
+import json
 import signal
+from collections.abc import Callable
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Route, expect
+from playwright.sync_api import Route, WebSocketRoute, expect
 
 from servo_bench.catalogue import Catalogue
 from servo_bench.diagnosis.judging.verdict import Verdict
@@ -188,6 +190,87 @@ def test_a_fault_is_told_and_cleared_by_an_operator(daemon: Daemon, screen: Scre
     page.get_by_role("button", name="Arm: the rig is clear").click()
     expect(page.locator("#state")).to_have_text("Idle")
     expect(page.locator('[data-banner="fault"]')).to_have_count(0)
+
+
+def test_the_arm_sheet_is_what_gets_armed(daemon: Daemon, screen: Screen) -> None:
+    """What arming does changes while its sheet is open: seen there, and refused by the daemon."""
+    asked: list[dict[str, Any]] = []
+
+    def refuse_once(route: Route) -> None:
+        asked.append(route.request.post_data_json)
+        refusal = {"detail": "what waits has changed: look again."}
+        status, body = (200, {}) if len(asked) > 1 else (409, refusal)
+        route.fulfill(status=status, json=body)
+
+    _change_status(screen, lambda status: status | {"arming": f"{len(status['queue'])} wait"})
+    screen.page.route("**/api/arm", refuse_once)
+    page = screen.open(daemon)
+    page.get_by_role("button", name="Arm the queue").click()
+    sheet = page.get_by_role("dialog")
+    expect(sheet).to_contain_text("Nothing waits")
+    page.get_by_label("Operator").fill("Ada")
+    daemon.submit("long", operator="Grace", name="another")
+    expect(sheet).to_contain_text("“another” (long, by Grace) begins and the rig moves")
+    expect(sheet).to_contain_text("This has changed since the sheet was opened")
+    expect(page.get_by_label("Operator")).to_have_value("Ada")
+    press = page.get_by_role("button", name="Arm: the rig is clear")
+    press.click()
+    page.wait_for_timeout(1100)  # a press just after the change does not count
+    if not asked:
+        expect(sheet).to_contain_text("pressed just as it changed")
+        press.click()
+    expect(sheet).to_contain_text("what waits has changed: look again.")
+    expect(sheet).to_contain_text("“another”")
+    screen.shoot("arm-changed")
+    page.wait_for_timeout(
+        1100
+    )  # the status that the refusal fetched may have come without a digest
+    press.click()
+    expect(sheet).to_have_count(0)
+    assert asked[0] == {"operator": "Ada", "seen": "1 wait"}
+
+
+def test_a_daemon_without_a_digest_is_sent_none(daemon: Daemon, screen: Screen) -> None:
+    def without(status: dict[str, Any]) -> dict[str, Any]:
+        return {key: value for key, value in status.items() if key != "arming"}
+
+    _change_status(screen, without)
+    page = screen.open(daemon)
+    page.get_by_role("button", name="Arm the queue").click()
+    page.get_by_label("Operator").fill("Ada")
+    with page.expect_request("**/api/arm") as sent:
+        page.get_by_role("button", name="Arm: the rig is clear").click()
+    expect(page.get_by_role("dialog")).to_have_count(0)
+    assert sent.value.post_data_json == {"operator": "Ada"}
+
+
+def test_the_confirm_sheet_says_when_it_begins_now(daemon: Daemon, screen: Screen) -> None:
+    page = screen.open(daemon, "start")
+    page.get_by_label("Operator").fill("Ada")
+    page.get_by_role("button", name="Check, then confirm").click()
+    sheet = page.get_by_role("dialog")
+    expect(sheet).to_contain_text("It begins when an operator arms the queue.")
+    sheet.get_by_label("I stand at the rig").check()
+    daemon.arm()
+    expect(sheet).to_contain_text("It begins at once.")
+    expect(sheet.get_by_label("I stand at the rig")).to_be_checked()
+    daemon.submit("long")
+    expect(sheet).to_contain_text("1 before it; then it begins by itself.")
+
+
+def _change_status(screen: Screen, change: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
+    """Let the page see every status of its connection as `change` makes it."""
+
+    def wrap(socket: WebSocketRoute) -> None:
+        def heard(message: str | bytes) -> None:
+            if isinstance(message, str):
+                status = json.loads(message)
+                message = json.dumps(change(status) if status["kind"] == "status" else status)
+            socket.send(message)
+
+        socket.connect_to_server().on_message(heard)
+
+    screen.page.route_web_socket("**/api/live", wrap)
 
 
 def test_a_bus_process_that_stands_still_is_told(daemon: Daemon, screen: Screen) -> None:

@@ -5,7 +5,7 @@ import { Connection, liveAddress } from "./connection.js";
 import { fill } from "./dom.js";
 import { Header } from "./header.js";
 import { Samples } from "./samples.js";
-import { closeSheet } from "./sheet.js";
+import { closeSheet, tellSheet } from "./sheet.js";
 import { compareView } from "./views/compare.js";
 import { liveView } from "./views/live.js";
 import { loginView } from "./views/login.js";
@@ -75,6 +75,7 @@ connection.addEventListener("status", ({ detail }) => {
   app.status = detail;
   header.show(detail);
   view?.status?.(detail);
+  tellSheet(detail);
 });
 connection.addEventListener("rows", ({ detail }) => {
   app.samples.take(detail);

@@ -4,18 +4,24 @@
 import { h, fill } from "./dom.js";
 
 let open = null;
+let hears = null;
 
 /** Close the open sheet as if it was cancelled. */
 export function closeSheet() {
   open?.(null);
 }
 
+/** Let the open sheet hear a status: what it says must be what is so when its button is pressed. */
+export function tellSheet(status) {
+  hears?.(status);
+}
+
 /**
  * Ask; resolves to what `done` is given, null where it was cancelled.
  *
- * `content(done)` gives the children, buttons and all.
+ * `content(done)` gives the children, buttons and all; `heard(status)` is called while it is open.
  */
-export function ask(title, content) {
+export function ask(title, content, heard = null) {
   closeSheet();
   const before = document.activeElement;
   const main = document.getElementById("main");
@@ -25,13 +31,14 @@ export function ask(title, content) {
     const cover = h("div", { class: "cover" }, sheet);
     const done = (answer) => {
       if (open !== done) return;
-      open = null;
+      open = hears = null;
       cover.remove();
       main.inert = false;
       if (before?.isConnected) before.focus();
       resolve(answer);
     };
     open = done;
+    hears = heard;
     fill(sheet, heading, content(done));
     main.inert = true;
     main.after(cover);

@@ -129,9 +129,12 @@ function movement({ peak_velocity_rad_s, peak_travel_rad, seconds, period_s, slo
 
 /** Let the operator confirm what will move, then submit it. */
 async function confirmed(app, preview, request) {
-  const { status, rig } = app;
+  const { rig } = app;
   const sure = h("input", { type: "checkbox", id: "sure" });
   const wrong = h("p", { class: "wrong", role: "alert" });
+  const begins = h("p", { class: "strong", "aria-live": "polite" });
+  const heard = (status) => say(begins, whenItBegins(status));
+  heard(app.status);
   const send = async (done, { target }) => {
     if (!sure.checked) {
       say(wrong, "Tick the box first: a run needs somebody at the rig.");
@@ -146,14 +149,15 @@ async function confirmed(app, preview, request) {
       target.disabled = false;
     }
   };
-  const answer = await ask("Confirm: the rig will move", (done) => [
+  const content = (done) => [
     h("p", {}, h("strong", {}, rig?.name ?? "The rig"), rig?.simulated ? " is a software rig: nothing real moves." : ": its motor shaft and load will turn, both ways."),
     movement(preview),
-    h("p", { class: "strong" }, whenItBegins(status)),
+    begins,
     h("p", { class: "check" }, sure, h("label", { for: "sure" }, "I stand at the rig, nobody is in reach of it, and the emergency stop is at hand.")),
     wrong,
     buttons(button("Cancel", () => done(null)), button("Submit the run", (event) => send(done, event), { class: "go" })),
-  ]);
+  ];
+  const answer = await ask("Confirm: the rig will move", content, heard);
   if (answer !== null) location.hash = "#/live";
 }
 

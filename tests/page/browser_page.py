@@ -456,6 +456,37 @@ def test_it_fits_a_tablet_and_the_stop_is_always_in_view(
         screen.shoot(f"{view.split('/')[0]}-{size[0]}x{size[1]}{'-one' if '/' in view else ''}")
 
 
+@pytest.mark.parametrize("size", [(1024, 768), (390, 844), (844, 390), (320, 568)])
+def test_a_long_fault_leaves_the_stop_and_the_sheet_in_view(
+    daemon: Daemon, screen: Screen, size: tuple[int, int]
+) -> None:
+    fault = {"sentence": "The drive did not answer. " * 40, "at_utc": "2026-01-01T00:00:00Z"}
+    more = {"state": "faulted", "fault": fault, "bus_alive": False}
+    _change_status(screen, lambda status: status | more)
+    screen.page.set_viewport_size({"width": size[0], "height": size[1]})
+    page = screen.open(daemon)
+    page.keyboard.press("Escape")
+    expect(page.locator("[data-banner]")).to_have_count(3)
+    page.get_by_role("button", name="Arm the queue").click()
+    heading = page.get_by_role("heading", name="Arm the queue").bounding_box()
+    bar = page.locator("header").bounding_box()
+    stop = page.locator("#stop").bounding_box()
+    screen.shoot(f"long-fault-{size[0]}x{size[1]}")
+    assert heading is not None
+    assert bar is not None
+    assert stop is not None
+    assert bar["height"] < 0.8 * size[1]
+    assert bar["y"] + bar["height"] < heading["y"] < size[1] - heading["height"]
+    assert stop["x"] >= 0
+    assert stop["y"] >= 0
+    assert stop["x"] + stop["width"] <= size[0]
+    assert stop["y"] + stop["height"] <= size[1]
+    page.locator("#stop").click()
+    page.get_by_label("Operator").fill("Ada")  # it closed no question
+    page.get_by_role("button", name="Cancel").click()
+    assert page.evaluate("() => document.documentElement.scrollWidth") <= size[0]
+
+
 def test_sixty_frames_a_second_at_a_kilohertz(tmp_path: Path, screen: Screen) -> None:
     """Measured, printed and kept; a shared machine's display pace is no verdict on the page."""
     bench = write_bench(tmp_path, seconds={"long": 60.0}, period_s=0.001)

@@ -18,6 +18,8 @@ export class Header {
     // captured: nothing on the page can keep the key to itself
     addEventListener("keydown", (event) => this.#key(event), { capture: true });
     addEventListener("keyup", (event) => this.#keyUp(event), { capture: true });
+    // what lies below the header must begin below it, however many banners it has
+    new ResizeObserver(([{ target }]) => document.documentElement.style.setProperty("--bar", `${target.offsetHeight}px`)).observe(document.querySelector(".bar"));
     connection.addEventListener("gone", () => this.#gone());
     connection.addEventListener("back", () => this.banner("gone", null));
   }
@@ -124,6 +126,7 @@ export class Header {
     const made = h("p", { class: `banner banner-${kind}`, "data-banner": name }, text);
     this.banners.set(name, made);
     at("banners").append(made);
+    at("banners").scrollTop = 0; // a new one is not looked for
   }
 }
 

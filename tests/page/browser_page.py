@@ -168,6 +168,26 @@ def test_a_stop_whose_answer_is_cut_is_given_again(daemon: Daemon, screen: Scree
     assert next(answers, None) is None
 
 
+def test_a_login_leads_to_where_one_came_from(tmp_path: Path, screen: Screen) -> None:
+    right = "a secret of this test"
+    (tmp_path / "token").write_text(right)
+    page = screen.page
+    with Daemon(write_bench(tmp_path, network='port = 0\ntoken_file = "token"')) as daemon:
+        page.goto(f"{daemon.url}/#/compare?a=1&b=2")
+        page.get_by_label("Token").fill("a wrong one of this test")
+        page.get_by_role("button", name="Log in").click()
+        expect(page.get_by_text("that is not the token")).to_be_visible()
+        page.get_by_label("Token").fill(right)
+        page.get_by_role("button", name="Log in").click()
+        expect(page.get_by_role("heading", name="Compare two runs")).to_be_visible()
+        assert page.url == f"{daemon.url}/#/compare?a=1&b=2"
+        expect(page.locator("#state")).to_have_text("Idle")
+        page.goto(f"{daemon.url}/#/login?from=javascript:alert(1)")
+        page.get_by_label("Token").fill(right)
+        page.get_by_role("button", name="Log in").click()
+        expect(page.get_by_role("region", name="Live plots")).to_be_visible()
+
+
 def test_a_space_is_written_where_text_is_written(daemon: Daemon, screen: Screen) -> None:
     page = screen.open(daemon, "start")
     run_id = daemon.play("long")

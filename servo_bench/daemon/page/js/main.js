@@ -21,7 +21,7 @@ const VIEWS = [
   [/^runs\/([^/]+)$/, (app, [id]) => runView(app, id)],
   [/^replay\/([^/]+)$/, (app, [id]) => liveView(app, { replay: id })],
   [/^compare$/, (app, _, query) => compareView(app, query)],
-  [/^login$/, loginView],
+  [/^login$/, (app, _, query) => loginView(query.get("from") ?? "")],
 ];
 
 const connection = new Connection(liveAddress(location));
@@ -83,7 +83,8 @@ connection.addEventListener("rows", ({ detail }) => {
 });
 connection.addEventListener("back", learnRig);
 addEventListener("login-needed", () => {
-  if (location.hash !== "#/login") location.hash = "#/login";
+  if (location.hash.startsWith("#/login")) return;
+  location.hash = `#/login?${new URLSearchParams({ from: location.hash })}`;
 });
 addEventListener("hashchange", () => {
   route();

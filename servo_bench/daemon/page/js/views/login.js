@@ -3,14 +3,15 @@
 import { post } from "../api.js";
 import { field, h, say } from "../dom.js";
 
-export function loginView() {
+/** `from`: the view that was asked for, as it stands after the address; it is shown once the token is right. */
+export function loginView(from) {
   const token = h("input", { type: "password", autocomplete: "current-password", required: true });
   const wrong = h("p", { class: "wrong", role: "alert" });
   const submit = async (event) => {
     event.preventDefault();
     try {
       await post("/login", { token: token.value });
-      location.reload();
+      location.replace(from.startsWith("#/") ? from : "#/live");
     } catch (error) {
       say(wrong, error.message);
     }

@@ -53,6 +53,14 @@ INTERVALS = """(count) => new Promise((done) => {
   };
   requestAnimationFrame(next);
 })"""
+WATCH_ALARM = """() => {
+  const look = () => {
+    const alarm = document.querySelector('.banner-alarm[data-banner="stop"]');
+    if (alarm) window.alarmed = alarm.textContent;
+  };
+  const all = { subtree: true, childList: true, attributes: true };
+  new MutationObserver(look).observe(document.getElementById("banners"), all);
+}"""
 WATCH_GONE = """() => {
   window.spoken = performance.now();
   const look = () => {
@@ -166,6 +174,34 @@ def test_a_stop_whose_answer_is_cut_is_given_again(daemon: Daemon, screen: Scree
     page.keyboard.press("Escape")
     expect(page.locator('[data-banner="stop"]')).to_contain_text("Stopped: the rig stands.")
     assert next(answers, None) is None
+
+
+def test_the_stop_of_a_session_that_has_run_out_goes_by_the_socket(
+    daemon: Daemon, screen: Screen
+) -> None:
+    """From this machine itself a stop needs no session: the refusal is played."""
+    refusal = {"detail": "this daemon asks for its token."}
+    screen.page.route("**/api/stop", lambda route: route.fulfill(status=401, json=refusal))
+    page = screen.open(daemon)
+    daemon.play("long")
+    expect(page.locator("#state")).to_have_text("Running")
+    page.evaluate(WATCH_ALARM)
+    page.keyboard.press("Escape")
+    expect(page.locator('[data-banner="stop"]')).to_contain_text("Stopped: the rig stands.")
+    assert (
+        daemon.wait(stands)["held_reason"] == "stopped by an operator at the page (the Escape key)"
+    )
+    assert page.evaluate("() => window.alarmed") is None
+    expect(page.get_by_role("heading", name="Log in")).to_be_visible()
+
+
+def test_a_stop_that_neither_way_takes_is_told(daemon: Daemon, screen: Screen) -> None:
+    refusal = {"detail": "this daemon asks for its token."}
+    screen.page.route("**/api/stop", lambda route: route.fulfill(status=401, json=refusal))
+    _change_status(screen, lambda status: status | {"state": "running", "held": False})
+    page = screen.open(daemon)
+    page.keyboard.press("Escape")
+    expect(page.locator('[data-banner="stop"]')).to_contain_text("NOT DELIVERED")
 
 
 def test_a_login_leads_to_where_one_came_from(tmp_path: Path, screen: Screen) -> None:

@@ -10,6 +10,8 @@ const TRIES = 20;
 const PATIENCE_MS = 1000;
 const BETWEEN_MS = 150;
 const MOMENT_MS = 80;
+const NO_SESSION = 401;
+const NOT_STOPPED = new Set(["preparing", "running"]);
 
 const pause = (ms) => new Promise((done) => setTimeout(done, ms));
 
@@ -25,11 +27,33 @@ export async function stopRig(connection, reason) {
       return answer;
     } catch (error) {
       last = error;
-      if (error.status === 401) break;
+      if (error.status === NO_SESSION) {
+        clearTimeout(alsoSent);
+        const heeded = await stopBySocket(connection, body);
+        if (heeded !== null) return heeded;
+        break;
+      }
       await pause(BETWEEN_MS);
     }
   }
   throw last;
+}
+
+/** A session that has run out closes no socket: send a stop by it; what the status then says, null without one. */
+function stopBySocket(connection, body) {
+  return new Promise((done) => {
+    const end = (answer) => {
+      clearTimeout(silent);
+      connection.removeEventListener("status", heard);
+      done(answer);
+    };
+    const heard = ({ detail: { held, state } }) => {
+      if (held && !NOT_STOPPED.has(state)) end({ standing: state !== "stopping", state });
+    };
+    const silent = setTimeout(end, PATIENCE_MS, null);
+    connection.addEventListener("status", heard);
+    if (!connection.send({ kind: "stop", ...body })) end(null);
+  });
 }
 
 const WRITES = "input:not([type=checkbox]):not([type=radio]):not([type=range]), textarea, select, [contenteditable]";

@@ -432,6 +432,29 @@ def test_recordings_are_found_read_noted_replayed_and_compared(
     screen.shoot("compare")
 
 
+def test_the_page_of_a_run_follows_it_to_its_end(daemon: Daemon, screen: Screen) -> None:
+    run_id = daemon.play("long", name="followed", notes="as submitted")
+    daemon.client.get("/api/runs").raise_for_status()  # it is in the catalogue while it plays
+    page = screen.open(daemon, f"runs/{run_id}")
+    expect(page.get_by_role("heading", name="followed")).to_be_visible()
+    expect(page.get_by_role("textbox", name="Notes")).to_have_value("as submitted")
+    before = page.locator(".lead").inner_text()
+    page.get_by_role("textbox", name="Notes").fill("written while it played")
+    daemon.client.patch(f"/api/runs/{run_id}", json={"tags": ["from elsewhere"]})
+    page.keyboard.press("Escape")
+    expect(page.locator(".lead")).to_contain_text("Stopped by an operator (the Escape key) after")
+    assert page.locator(".lead").inner_text() != before
+    expect(page.locator("summary", has_text="Events (")).to_be_visible()
+    expect(page.get_by_role("region", name="Samples").locator(".chart")).to_have_count(3)
+    expect(page.get_by_label("Tags")).to_have_value("from elsewhere")
+    expect(page.get_by_role("textbox", name="Notes")).to_have_value("written while it played")
+    page.get_by_role("button", name="Save").click()
+    expect(page.get_by_text("Saved.")).to_be_visible()
+    kept = daemon.client.get(f"/api/runs/{run_id}").json()
+    assert (kept["notes"], kept["tags"]) == ("written while it played", ["from elsewhere"])
+    screen.shoot("run-followed")
+
+
 def test_a_run_is_diagnosed_and_its_verdict_is_read(library: Daemon, screen: Screen) -> None:
     (hidden,) = [row["id"] for row in library.rows() if row["name"] == "hidden-effect"]
     page = screen.open(library, f"runs/{hidden}")

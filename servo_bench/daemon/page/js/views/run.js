@@ -24,25 +24,38 @@ export function runView(app, id) {
 class RunPage {
   constructor(id) {
     this.id = id;
-    this.charts = [];
+    this.charts = new Map(); // by channel
     this.kernels = [];
     this.jobs = new Map(); // id to kind: the work on this run that is not known to be over
+    this.playing = false;
+    this.ended = "";
+    this.asked = 0;
+    this.askedSamples = 0;
     this.wrong = h("p", { class: "wrong", role: "alert" });
     this.working = h("p", { class: "working", role: "status" });
     this.buttons = { analyse: button("Analyse", () => this.#work("analyse")), diagnose: button("Diagnose", () => this.#work("diagnose")) };
+    this.notes = new NotesCard(id);
+    this.events = new EventsCard();
     this.body = h("div", {}, h("p", { class: "hint" }, "Loading …"));
-    this.plots = h("section", { class: "card", "aria-label": "Samples" }, h("h2", {}, "Samples"), h("p", { class: "hint" }, "Over time / s; where many samples share a place, the least and the largest of them."));
+    this.samples = new Map(CHANNELS.map(([channel]) => [channel, h("div")]));
+    this.plots = h("section", { class: "card", "aria-label": "Samples" }, h("h2", {}, "Samples"), h("p", { class: "hint" }, "Over time / s; where many samples share a place, the least and the largest of them."), [...this.samples.values()]);
     this.element = h("article", {}, this.wrong, this.body);
     this.#load();
     this.#loadSamples();
   }
 
   async #load() {
+    const asked = (this.asked += 1);
+    const { saves } = this.notes;
     try {
       const run = await get(runPath(this.id));
-      if (!this.closed) this.#show(run);
+      if (this.closed || asked !== this.asked) return; // a later answer is on its way
+      say(this.wrong, "");
+      this.#show(run);
+      if (saves === this.notes.saves) this.notes.show(run);
     } catch (error) {
-      fill(this.body);
+      if (asked !== this.asked) return;
+      if (!this.places) fill(this.body);
       say(this.wrong, error.message);
     }
   }
@@ -51,33 +64,35 @@ class RunPage {
     for (const drawn of this.kernels.splice(0)) drawn.close();
     const kernels = kernelCard(run.kernels);
     this.kernels.push(...kernels.charts);
-    this.places ??= this.#layOut(run); // once: what somebody is writing in the notes stays
+    this.places ??= this.#layOut(); // once: what somebody is writing in the notes stays
+    fill(this.places.head, head(run));
+    fill(this.places.about, about(run));
     fill(this.places.links, this.#links(run));
     fill(this.places.verdict, verdictCard(run, run.has_diagnosis_page ? `/api${runPath(run.id)}/diagnosis/page` : null));
     fill(this.places.quality, qualityCard(run));
     fill(this.places.kernels, kernels.element);
+    this.events.show(run);
     say(this.buttons.analyse, run.kernels ? "Analyse again" : "Analyse");
     say(this.buttons.diagnose, run.diagnosis ? "Diagnose again" : "Diagnose");
   }
 
-  #layOut(run) {
+  #layOut() {
     const place = () => h("div", { class: "place-of" });
-    const places = { links: place(), verdict: place(), quality: place(), kernels: place() };
+    const places = { head: place(), about: place(), links: place(), verdict: place(), quality: place(), kernels: place() };
     fill(
       this.body,
       h("p", { class: "hint" }, h("a", { href: "#/runs" }, "All runs")),
-      h("h1", {}, run.name || NOTHING),
-      h("p", { class: "lead" }, h("span", { class: `ended ended-${run.state}` }, run.state), " ", run.sentence),
+      places.head,
       h("div", { class: "tools" }, places.links, this.buttons.analyse, this.buttons.diagnose),
       this.working,
       h(
         "div",
         { class: "cards" },
-        h("div", { class: "side" }, h("section", { class: "card", "aria-label": "About" }, h("h2", {}, "About"), about(run)), places.verdict, places.quality),
-        h("div", { class: "side" }, this.#notes(run), places.kernels),
+        h("div", { class: "side" }, h("section", { class: "card", "aria-label": "About" }, h("h2", {}, "About"), places.about), places.verdict, places.quality),
+        h("div", { class: "side" }, this.notes.element, places.kernels),
       ),
       this.plots,
-      eventsCard(run),
+      this.events.element,
     );
     return places;
   }
@@ -106,8 +121,9 @@ class RunPage {
     }
   }
 
-  /** A status: what is done with this run now, and what is no longer. */
-  heard({ jobs }) {
+  /** A status: whether this run plays or has ended, what is done with it now, and what is no longer. */
+  heard({ run, last, jobs }) {
+    this.#follow(run?.id === this.id, last?.id === this.id ? last.sentence : "");
     const mine = jobs.filter(({ run }) => run === this.id);
     for (const { id, kind } of mine) {
       this.jobs.set(id, kind);
@@ -117,6 +133,14 @@ class RunPage {
     for (const id of this.jobs.keys()) {
       if (!mine.some((job) => job.id === id)) this.#ask(id);
     }
+  }
+
+  /** What was read of a run that played is not true of one that is over. */
+  #follow(playing, ended) {
+    if (playing === this.playing && ended === this.ended) return;
+    if (playing !== this.playing) this.#loadSamples();
+    [this.playing, this.ended] = [playing, ended];
+    this.#load();
   }
 
   /** A job that no status has any more: over, or so new that the status did not know it. */
@@ -143,44 +167,94 @@ class RunPage {
     say(this.working, text);
   }
 
-  #notes(run) {
-    const tags = h("input", { type: "text", value: run.tags.join(", ") });
-    const notes = h("textarea", { rows: "5", maxlength: "100000" });
-    notes.value = run.notes;
-    const said = h("p", { class: "hint", role: "status" });
-    const save = async () => {
-      const list = tags.value.split(",").map((tag) => tag.trim()).filter(Boolean);
-      try {
-        const kept = await patch(runPath(run.id), { notes: notes.value, tags: list });
-        tags.value = kept.tags.join(", ");
-        say(said, "Saved.");
-      } catch (error) {
-        say(said, error.message);
-      }
-    };
-    return h("section", { class: "card", "aria-label": "Notes" }, h("h2", {}, "Notes"), field("Tags", tags, { hint: "separated by commas" }), field("Notes", notes), h("div", { class: "tools" }, button("Save", save), said));
-  }
-
   async #loadSamples() {
+    const asked = (this.askedSamples += 1);
     for (const [channel, title, scale] of CHANNELS) {
+      const place = this.samples.get(channel);
       try {
         const { t_s, columns } = await get(`${runPath(this.id)}/samples?${new URLSearchParams({ channels: channel, points: POINTS })}`);
-        if (this.closed) return;
+        if (this.closed || asked !== this.askedSamples) return;
+        this.charts.get(channel)?.close();
         const drawn = bandChart(title, t_s, columns[channel], scale);
-        this.charts.push(drawn);
-        this.plots.append(drawn.figure);
+        this.charts.set(channel, drawn);
+        fill(place, drawn.figure);
       } catch (error) {
         if (!(error instanceof Problem)) throw error;
-        if (error.status === 404) return; // the run itself says so already
-        this.plots.append(h("p", { class: "hint" }, `${title}: ${error.message}`));
+        if (error.status === 404 || asked !== this.askedSamples) return; // the run itself says so already
+        fill(place, h("p", { class: "hint" }, `${title}: ${error.message}`));
       }
     }
   }
 
   close() {
     this.closed = true;
-    for (const drawn of [...this.charts, ...this.kernels]) drawn.close();
+    for (const drawn of [...this.charts.values(), ...this.kernels]) drawn.close();
   }
+}
+
+/** What people wrote of a run. A field that somebody has changed keeps it until they save. */
+class NotesCard {
+  constructor(id) {
+    this.id = id;
+    this.saves = 0;
+    this.shown = { tags: "", notes: "" };
+    this.tags = h("input", { type: "text" });
+    this.notes = h("textarea", { rows: "5", maxlength: "100000" });
+    this.said = h("p", { class: "hint", role: "status" });
+    this.element = h(
+      "section",
+      { class: "card", "aria-label": "Notes" },
+      h("h2", {}, "Notes"),
+      field("Tags", this.tags, { hint: "separated by commas" }),
+      field("Notes", this.notes),
+      h("div", { class: "tools" }, button("Save", () => this.#save()), this.said),
+    );
+  }
+
+  show({ tags, notes }) {
+    this.#put("tags", tags.join(", "));
+    this.#put("notes", notes);
+  }
+
+  #put(name, text) {
+    const control = this[name];
+    if (control.value !== this.shown[name]) return;
+    control.value = text;
+    this.shown[name] = control.value; // as the control has it: with line ends of its own
+  }
+
+  async #save() {
+    const written = { tags: this.tags.value, notes: this.notes.value };
+    const tags = written.tags.split(",").map((tag) => tag.trim()).filter(Boolean);
+    try {
+      const kept = await patch(runPath(this.id), { notes: written.notes, tags });
+      this.saves += 1;
+      this.shown = written;
+      this.show(kept);
+      say(this.said, "Saved.");
+    } catch (error) {
+      say(this.said, error.message);
+    }
+  }
+}
+
+/** What happened beside the samples; open or closed as its reader left it. */
+class EventsCard {
+  constructor() {
+    this.title = h("summary");
+    this.rows = h("tbody");
+    this.element = h("details", { class: "card", hidden: true }, this.title, h("div", { class: "scroll" }, h("table", {}, this.rows)));
+  }
+
+  show({ events }) {
+    this.element.hidden = events.length === 0;
+    say(this.title, `Events (${events.length})`);
+    fill(this.rows, events.map(({ at_s, kind, text }) => h("tr", {}, h("td", { class: "numeric" }, quantity(at_s, "s", 5)), h("td", {}, kind), h("td", {}, text))));
+  }
+}
+
+function head(run) {
+  return [h("h1", {}, run.name || NOTHING), h("p", { class: "lead" }, h("span", { class: `ended ended-${run.state}` }, run.state), " ", run.sentence)];
 }
 
 function about(run) {
@@ -203,10 +277,4 @@ function qualityCard({ quality, sentences }) {
     h("h2", {}, "Quality of the run"),
     quality ? [flags ?? h("p", {}, "Nothing to remark."), pairs(rows.map(([name, value]) => figure(name, value)))] : h("p", { class: "hint" }, "Not analysed yet."),
   );
-}
-
-function eventsCard({ events }) {
-  if (!events.length) return null;
-  const rows = events.map(({ at_s, kind, text }) => h("tr", {}, h("td", { class: "numeric" }, quantity(at_s, "s", 5)), h("td", {}, kind), h("td", {}, text)));
-  return h("details", { class: "card" }, h("summary", {}, `Events (${events.length})`), h("div", { class: "scroll" }, h("table", {}, h("tbody", {}, rows))));
 }

@@ -432,6 +432,26 @@ def test_recordings_are_found_read_noted_replayed_and_compared(
     screen.shoot("compare")
 
 
+def test_two_runs_are_chosen_however_often_the_list_is_loaded(
+    library: Daemon, screen: Screen
+) -> None:
+    ids = [row["id"] for row in library.rows()]
+    assert len(ids) >= 3
+    page = screen.open(library, "runs")
+    boxes = page.locator("tbody input[type=checkbox]")
+    boxes.nth(0).check()
+    boxes.nth(0).evaluate("(box) => { box.id = 'first'; }")
+    page.get_by_label("Search").press_sequentially(" ")
+    expect(page.locator("#first")).to_have_count(0)
+    expect(page.locator("tbody :checked")).to_have_count(1)
+    boxes.nth(1).check()
+    boxes.nth(2).check()
+    expect(page.locator("tbody :checked")).to_have_count(2)
+    expect(boxes.nth(0)).not_to_be_checked()
+    page.get_by_role("button", name="Compare two").click()
+    page.wait_for_url(f"**/#/compare?a={ids[1]}&b={ids[2]}")
+
+
 def test_the_page_of_a_run_follows_it_to_its_end(daemon: Daemon, screen: Screen) -> None:
     run_id = daemon.play("long", name="followed", notes="as submitted")
     daemon.client.get("/api/runs").raise_for_status()  # it is in the catalogue while it plays

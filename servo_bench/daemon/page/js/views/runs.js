@@ -89,6 +89,7 @@ class RunList {
   #row(run) {
     const fresh = run.figures.vaf_fresh_order3_percent;
     const pick = h("input", { type: "checkbox", "aria-label": `Choose ${run.name} for a comparison`, checked: this.chosen.has(run.id) });
+    if (this.chosen.has(run.id)) this.chosen.set(run.id, pick); // the box of an earlier load is gone
     pick.addEventListener("change", () => this.#pick(run.id, pick));
     return h(
       "tr",

@@ -452,6 +452,21 @@ def test_two_runs_are_chosen_however_often_the_list_is_loaded(
     page.wait_for_url(f"**/#/compare?a={ids[1]}&b={ids[2]}")
 
 
+def test_a_run_that_the_list_is_too_short_for_can_be_compared(
+    library: Daemon, screen: Screen
+) -> None:
+    latest, *_, old = library.rows()
+    cut = {"total": 501, "runs": [latest]}
+    screen.page.route("**/api/runs?limit=500", lambda route: route.fulfill(json=cut))
+    page = screen.open(library, f"compare?a={old['id']}")
+    expect(page.get_by_label("Before (a)")).to_have_value(old["id"])
+    expect(page.get_by_label("Before (a)").locator(":checked")).to_contain_text(old["name"])
+    expect(page.get_by_label("After (b)")).to_have_value("")
+    screen.open(library, "compare?a=0123456789abcdef")
+    expect(page.get_by_role("alert").filter(has_text="0123456789abcdef")).to_be_visible()
+    expect(page.get_by_label("Before (a)").locator("option")).to_have_count(2)
+
+
 def test_the_page_of_a_run_follows_it_to_its_end(daemon: Daemon, screen: Screen) -> None:
     run_id = daemon.play("long", name="followed", notes="as submitted")
     daemon.client.get("/api/runs").raise_for_status()  # it is in the catalogue while it plays

@@ -1,6 +1,6 @@
 // Two runs side by side: has the rig changed, where, and by how much?
 
-import { call, get } from "../api.js";
+import { call, get, runPath } from "../api.js";
 import { field, fill, h, say } from "../dom.js";
 import { NOTHING, degrees, figure, number, when, words } from "../format.js";
 import { linearKernel } from "../kernel_plots.js";
@@ -38,12 +38,24 @@ class ComparePage {
   async #load(a, b) {
     try {
       const { runs } = await get(`/runs?limit=${LISTED}`);
+      const older = new Set([a, b].filter((id) => id && !runs.some((run) => run.id === id)));
+      for (const id of older) runs.push(...(await this.#named(id)));
       for (const [select, chosen] of [[this.a, a], [this.b, b]]) {
         fill(select, h("option", { value: "" }, "choose a run"), runs.map(({ id, name, started_utc }) => h("option", { value: id, selected: id === chosen }, `${name}, ${when(started_utc)}`)));
       }
       if (a && b) this.#compare(a, b);
     } catch (error) {
       say(this.wrong, error.message);
+    }
+  }
+
+  /** A run that the list is too short for; none, and why, where there is none. */
+  async #named(id) {
+    try {
+      return [await get(runPath(id))];
+    } catch (error) {
+      say(this.wrong, error.message);
+      return [];
     }
   }
 

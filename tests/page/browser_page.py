@@ -172,8 +172,29 @@ def test_a_stop_whose_answer_is_cut_is_given_again(daemon: Daemon, screen: Scree
     page = screen.open(daemon)
     page.route("**/api/stop", cut)
     page.keyboard.press("Escape")
-    expect(page.locator('[data-banner="stop"]')).to_contain_text("Stopped: the rig stands.")
+    expect(page.locator('[data-banner="stop"]')).to_contain_text("Stop given.")
     assert next(answers, None) is None
+
+
+def test_the_rig_is_said_to_stand_only_where_that_is_known(daemon: Daemon, screen: Screen) -> None:
+    unknown, known = "not known whether the rig stands: look at it", "the rig stands"
+    detail, stop = screen.page.locator("#state-detail"), screen.page.locator('[data-banner="stop"]')
+    page = screen.open(daemon)
+    expect(detail).to_contain_text(unknown)  # nobody has seen what it does since the start
+    page.keyboard.press("Escape")
+    expect(stop).to_contain_text(unknown)
+    screen.shoot("stop-unknown")
+    daemon.play("short")
+    daemon.wait(stands)
+    page.keyboard.press("Escape")
+    expect(stop).to_have_text("Stopped: the rig stands. The queue is held.")
+    expect(detail).to_contain_text(f"{known}; queue held")
+    run_id = daemon.play("long")
+    kill(bus_loop_of(runner_of(daemon.bench, run_id)))
+    expect(page.locator("#state")).to_have_text("Fault")
+    page.keyboard.press("Escape")
+    expect(stop).to_contain_text(unknown)
+    expect(detail).to_contain_text(unknown)
 
 
 def test_the_stop_of_a_session_that_has_run_out_goes_by_the_socket(

@@ -46,8 +46,8 @@ export class Header {
     this.stop.dataset.busy = "true";
     this.banner("stop", "info", "Stop is being sent …");
     try {
-      const { standing } = await stopRig(this.connection, reason);
-      this.#stopped(standing);
+      const { standing, state } = await stopRig(this.connection, reason);
+      this.#stopped(standing && stands({ state, last: this.status?.last ?? null }), state);
     } catch (error) {
       this.banner("stop", "alarm", `STOP WAS NOT DELIVERED. Use the emergency stop now. ${error.message}`);
     } finally {
@@ -55,9 +55,10 @@ export class Header {
     }
   }
 
-  #stopped(standing) {
-    this.stopping = !standing;
-    this.banner("stop", "info", standing ? "Stopped: the rig stands. The queue is held." : "Stop given: the rig is being stopped. The queue is held.");
+  #stopped(standing, state) {
+    this.stopping = MOVING.has(state);
+    const still = standing ? "Stopped: the rig stands." : "Stop given. It is not known whether the rig stands: look at it.";
+    this.banner("stop", "info", `${this.stopping ? "Stop given: the rig is being stopped." : still} The queue is held.`);
   }
 
   #gone() {
@@ -86,7 +87,7 @@ export class Header {
     const began = status.run !== null && status.run.id !== before?.run?.id;
     const armed = before?.held && !status.held;
     if (began || armed) this.banner("stop", null);
-    if (this.stopping && !MOVING.has(status.state)) this.#stopped(true);
+    if (this.stopping && !MOVING.has(status.state)) this.#stopped(stands(status), status.state);
   }
 
   #state(state, word, detail) {
@@ -139,9 +140,16 @@ const WORDS = {
   faulted: "Fault",
 };
 
-function detailOf({ state, run, held, held_reason: reason, queue, replay }) {
+/** Whether the rig is known to stand. Before the daemon has seen a run's end, and after a fault, it is not. */
+function stands({ state, last }) {
+  return !MOVING.has(state) && state !== "faulted" && last !== null;
+}
+
+function detailOf(status) {
+  const { run, held, held_reason: reason, queue, replay } = status;
   if (run !== null) return `${run.name}, by ${run.operator}: ${run.phase}, ${quantity(run.seconds_left, "s left", 3)}`;
-  if (replay !== null) return `the rig stands; a recording is replayed at ${replay.speed}×`;
-  if (held) return `${state === "faulted" ? "" : "the rig stands; "}queue held: ${reason}`;
+  const known = stands(status) ? "the rig stands" : "not known whether the rig stands: look at it";
+  if (replay !== null) return `${known}; a recording is replayed at ${replay.speed}×`;
+  if (held) return `${known}; queue held: ${reason}`;
   return queue.length ? `${queue.length} waiting` : "armed: a submitted run begins at once";
 }

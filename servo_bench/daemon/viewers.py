@@ -30,10 +30,10 @@ class Viewers:
 
     async def serve(self, socket: WebSocket) -> None:
         """One viewer, until it goes."""
-        if self._count >= MOST_VIEWERS:
+        await socket.accept()
+        if self._count >= MOST_VIEWERS:  # a browser shows the reason of what was accepted only
             await socket.close(TRY_AGAIN_LATER, f"{MOST_VIEWERS} pages are open already")
             return
-        await socket.accept()
         self._count += 1
         listening = asyncio.create_task(self._listen(socket))
         try:

@@ -8,7 +8,7 @@ Screenshots are kept in tests/page/output.
 import json
 import signal
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ import pytest
 from playwright.sync_api import Route, WebSocketRoute, expect
 
 from servo_bench.catalogue import Catalogue
+from servo_bench.daemon.viewers import MOST_VIEWERS
 from servo_bench.diagnosis.judging.verdict import Verdict
 from tests.daemon_process import Daemon, bus_loop_of, kill, moves, runner_of, stands, write_bench
 from tests.page.conftest import Screen
@@ -271,7 +272,7 @@ def test_a_fault_is_told_and_cleared_by_an_operator(daemon: Daemon, screen: Scre
 
 def test_the_arm_sheet_is_what_gets_armed(daemon: Daemon, screen: Screen) -> None:
     """What arming does changes while its sheet is open: seen there, and refused by the daemon."""
-    asked: list[dict[str, Any]] = []
+    asked: list[Any] = []
 
     def refuse_once(route: Route) -> None:
         asked.append(route.request.post_data_json)
@@ -383,6 +384,32 @@ def test_a_daemon_that_is_gone_is_told_within_a_second(
     else:
         page.keyboard.press("Escape")
         expect(page.locator('[data-banner="stop"]')).to_contain_text("NOT DELIVERED")
+
+
+def test_a_page_too_many_says_so_and_connects_later(daemon: Daemon, screen: Screen) -> None:
+    page = screen.page
+    gone = page.locator('[data-banner="gone"]')
+    with ExitStack() as first, ExitStack() as others:
+        for place in range(MOST_VIEWERS):
+            (first if place == 0 else others).enter_context(daemon.live())
+        page.goto(f"{daemon.url}/#/live")
+        expect(gone).to_contain_text(f"{MOST_VIEWERS} pages are open already")
+        expect(page.get_by_role("button", name="Arm the queue")).to_be_disabled()
+        page.wait_for_timeout(2000)  # longer than the silence that means a daemon is gone
+        expect(gone).to_contain_text(f"{MOST_VIEWERS} pages are open already")
+        expect(gone).not_to_contain_text("DAEMON GONE")
+        screen.shoot("one-page-too-many")
+        page.keyboard.press("Escape")
+        expect(page.locator('[data-banner="stop"]')).to_contain_text("Stop")
+        kill(daemon.process.pid, signal.SIGSTOP)
+        expect(gone).to_contain_text("DAEMON GONE")  # what it said once is not said of it now
+        kill(daemon.process.pid, signal.SIGCONT)
+        expect(gone).to_contain_text(f"{MOST_VIEWERS} pages are open already")
+        first.close()
+        expect(page.locator("#state")).to_have_text("Idle")
+        expect(gone).to_have_count(0)
+        daemon.kill()
+        expect(gone).to_contain_text("DAEMON GONE")
 
 
 def test_hostile_names_are_only_text(daemon: Daemon, screen: Screen) -> None:

@@ -9,13 +9,16 @@ import { rowsOf } from "./frames.js";
 const SILENT_MS = 900;
 const LOOK_EVERY_MS = 50;
 const AGAIN_MS = 500;
+const TRY_AGAIN_LATER = 1013; // the daemon is well, and has no place for this page
 
-/** Tells "status" (detail: Status), "rows" (detail: Float64Array), "gone", "back". */
+/** Tells "status" (detail: Status), "rows" (detail: Float64Array), "gone" (detail: why, if the daemon said it), "back". */
 export class Connection extends EventTarget {
   constructor(address) {
     super();
     this.address = address;
     this.there = null; // null until the daemon has spoken or been silent for too long
+    this.why = "";
+    this.refused_ms = -Infinity;
     this.heard_ms = performance.now();
     this.#connect();
     setInterval(() => this.#look(), LOOK_EVERY_MS);
@@ -33,8 +36,9 @@ export class Connection extends EventTarget {
     const socket = new WebSocket(this.address);
     socket.binaryType = "arraybuffer";
     socket.onmessage = ({ data }) => this.#heard(data);
-    socket.onclose = () => {
-      if (socket === this.socket) this.#gone();
+    socket.onclose = ({ code, reason }) => {
+      if (code === TRY_AGAIN_LATER) this.refused_ms = performance.now();
+      if (socket === this.socket) this.#gone(code === TRY_AGAIN_LATER ? reason : "");
     };
     this.socket = socket;
   }
@@ -43,6 +47,7 @@ export class Connection extends EventTarget {
     this.heard_ms = performance.now();
     if (this.there !== true) {
       this.there = true;
+      this.why = "";
       this.#tell("back");
     }
     if (data instanceof ArrayBuffer) {
@@ -57,7 +62,7 @@ export class Connection extends EventTarget {
   #look() {
     const now_ms = performance.now();
     const waited_ms = now_ms - Math.max(this.heard_ms, this.tried_ms);
-    if (now_ms - this.heard_ms > SILENT_MS) this.#gone();
+    if (now_ms - this.heard_ms > SILENT_MS) this.#gone(now_ms - this.refused_ms < 3 * SILENT_MS ? this.why : "");
     const state = this.socket.readyState;
     const dead = state === WebSocket.CLOSED || state === WebSocket.CLOSING || waited_ms > 3 * SILENT_MS;
     if (dead && now_ms - this.tried_ms > AGAIN_MS) {
@@ -67,10 +72,11 @@ export class Connection extends EventTarget {
     }
   }
 
-  #gone() {
-    if (this.there === false) return;
+  #gone(why) {
+    if (this.there === false && why === this.why) return;
     this.there = false;
-    this.#tell("gone");
+    this.why = why;
+    this.#tell("gone", why);
     // a socket does not say why it was refused; this answer does: 401 brings the login
     call("GET", "/status", undefined, { patience_ms: 2000 }).catch(() => {});
   }

@@ -20,7 +20,7 @@ export class Header {
     addEventListener("keyup", (event) => this.#keyUp(event), { capture: true });
     // what lies below the header must begin below it, however many banners it has
     new ResizeObserver(([{ target }]) => document.documentElement.style.setProperty("--bar", `${target.offsetHeight}px`)).observe(document.querySelector(".bar"));
-    connection.addEventListener("gone", () => this.#gone());
+    connection.addEventListener("gone", ({ detail }) => this.#gone(detail));
     connection.addEventListener("back", () => this.banner("gone", null));
   }
 
@@ -61,14 +61,11 @@ export class Header {
     this.banner("stop", "info", `${this.stopping ? "Stop given: the rig is being stopped." : still} The queue is held.`);
   }
 
-  #gone() {
+  #gone(why) {
     this.stopping = false; // nobody knows any more
-    this.banner(
-      "gone",
-      "alarm",
-      "DAEMON GONE: nothing has been heard from it. What is shown is old; the rig may still move. Use the emergency stop if in doubt.",
-    );
-    this.#state("unknown", "No contact", "the daemon does not answer");
+    const begins = why ? `THIS PAGE IS NOT CONNECTED: the daemon works, but ${why}. Close one, and this one connects by itself.` : "DAEMON GONE: nothing has been heard from it.";
+    this.banner("gone", "alarm", `${begins} What is shown is old; the rig may still move. Use the emergency stop if in doubt.`);
+    this.#state("unknown", "No contact", why || "the daemon does not answer");
   }
 
   /** The rig's description, once. */

@@ -8,7 +8,7 @@ import { button } from "./sheet.js";
 export class QueuePanel {
   constructor() {
     this.held = h("p", { class: "held" });
-    this.arm = button("Arm the queue …", () => arm(this.status), { class: "go" });
+    this.arm = button("Arm the queue …", () => arm(this.status), { class: "go", disabled: true });
     this.list = h("ol", { class: "queue" });
     this.wrong = h("p", { class: "wrong", role: "alert" });
     this.element = h("section", { class: "card", "aria-label": "Queue" }, h("h2", {}, "Queue"), this.held, this.arm, this.list, this.wrong);

@@ -9,6 +9,7 @@ import json
 import signal
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -193,9 +194,13 @@ def test_the_rig_is_said_to_stand_only_where_that_is_known(daemon: Daemon, scree
     run_id = daemon.play("long")
     kill(bus_loop_of(runner_of(daemon.bench, run_id)))
     expect(page.locator("#state")).to_have_text("Fault")
-    page.keyboard.press("Escape")
-    expect(stop).to_contain_text(unknown)
-    expect(detail).to_contain_text(unknown)
+    expect(detail).to_contain_text("queue held")
+    expect(detail).not_to_contain_text(known)  # nor that it is unknown: the fault says more
+    for standing, words in ((False, unknown), (True, f"Stopped: {known}.")):
+        answer = {"stopped": True, "standing": standing, "state": "faulted"}
+        page.route("**/api/stop", partial(_answer, answer))
+        page.keyboard.press("Escape")
+        expect(stop).to_contain_text(words)
 
 
 def test_the_stop_of_a_session_that_has_run_out_goes_by_the_socket(
@@ -334,6 +339,10 @@ def test_the_confirm_sheet_says_when_it_begins_now(daemon: Daemon, screen: Scree
     expect(sheet.get_by_label("I stand at the rig")).to_be_checked()
     daemon.submit("long")
     expect(sheet).to_contain_text("1 before it; then it begins by itself.")
+
+
+def _answer(answer: dict[str, Any], route: Route) -> None:
+    route.fulfill(json=answer)
 
 
 def _change_status(screen: Screen, change: Callable[[dict[str, Any]], dict[str, Any]]) -> None:

@@ -47,7 +47,7 @@ export class Header {
     this.banner("stop", "info", "Stop is being sent …");
     try {
       const { standing, state } = await stopRig(this.connection, reason);
-      this.#stopped(standing && stands({ state, last: this.status?.last ?? null }), state);
+      this.#stopped(standing && seenToEnd(this.status), state);
     } catch (error) {
       this.banner("stop", "alarm", `STOP WAS NOT DELIVERED. Use the emergency stop now. ${error.message}`);
     } finally {
@@ -84,7 +84,7 @@ export class Header {
     const began = status.run !== null && status.run.id !== before?.run?.id;
     const armed = before?.held && !status.held;
     if (began || armed) this.banner("stop", null);
-    if (this.stopping && !MOVING.has(status.state)) this.#stopped(stands(status), status.state);
+    if (this.stopping && !MOVING.has(status.state)) this.#stopped(status.state !== "faulted", status.state);
   }
 
   #state(state, word, detail) {
@@ -137,16 +137,17 @@ const WORDS = {
   faulted: "Fault",
 };
 
-/** Whether the rig is known to stand. Before the daemon has seen a run's end, and after a fault, it is not. */
-function stands({ state, last }) {
-  return !MOVING.has(state) && state !== "faulted" && last !== null;
+/** Whether the daemon has seen a run's end; one that was only started knows nothing of the rig. */
+function seenToEnd(status) {
+  return status !== null && status.last !== null;
 }
 
 function detailOf(status) {
-  const { run, held, held_reason: reason, queue, replay } = status;
+  const { state, run, held, held_reason: reason, queue, replay } = status;
   if (run !== null) return `${run.name}, by ${run.operator}: ${run.phase}, ${quantity(run.seconds_left, "s left", 3)}`;
-  const known = stands(status) ? "the rig stands" : "not known whether the rig stands: look at it";
-  if (replay !== null) return `${known}; a recording is replayed at ${replay.speed}×`;
-  if (held) return `${known}; queue held: ${reason}`;
+  const still = seenToEnd(status) ? "the rig stands; " : "not known whether the rig stands: look at it; ";
+  const known = state === "faulted" ? "" : still; // a fault's own sentence says what the drive said
+  if (replay !== null) return `${known}a recording is replayed at ${replay.speed}×`;
+  if (held) return `${known}queue held: ${reason}`;
   return queue.length ? `${queue.length} waiting` : "armed: a submitted run begins at once";
 }

@@ -12,6 +12,7 @@ const BETWEEN_MS = 150;
 const MOMENT_MS = 80;
 const NO_SESSION = 401;
 const NOT_STOPPED = new Set(["preparing", "running"]);
+const STANDS = new Set(["idle", "analysing"]);
 
 const pause = (ms) => new Promise((done) => setTimeout(done, ms));
 
@@ -48,7 +49,7 @@ function stopBySocket(connection, body) {
       done(answer);
     };
     const heard = ({ detail: { held, state } }) => {
-      if (held && !NOT_STOPPED.has(state)) end({ standing: state !== "stopping", state });
+      if (held && !NOT_STOPPED.has(state)) end({ standing: STANDS.has(state), state });
     };
     const silent = setTimeout(end, PATIENCE_MS, null);
     connection.addEventListener("status", heard);

@@ -21,14 +21,13 @@ from typing import Any, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from servo_bench.daemon.stopping import STATE
+from servo_bench.daemon.stopping import HOST, PORT, STATE
 from servo_bench.errors import ConfigError
 from servo_bench.excitation.experiment import Experiment, load_experiment
 from servo_bench.files import SHIPPED, Value, find, read_toml, validated
 from servo_bench.rig import RigConfig, load_rig
 from servo_bench.run.realtime import PRIORITY
 
-PORT = 8420
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 MIN_TOKEN = 16
 
@@ -39,7 +38,7 @@ class NetworkConfig(Value):
     Beyond loopback a token is required, and TLS, or the words `allow_plain_http = true`.
     """
 
-    host: str = "127.0.0.1"
+    host: str = HOST
     """Address to listen on; beyond loopback only with a token."""
     port: int = Field(default=PORT, ge=0, le=65535)
     """TCP port; 0 for a free one, which the log names."""

@@ -3,7 +3,7 @@
 import os
 import socket
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 SOCKET = "control.sock"
@@ -42,8 +42,11 @@ def connected(folder: Path) -> socket.socket:
 
 
 def run_folders(state: Path) -> list[Path]:
-    """Folders of runs that are not over, where a runner may be asked to stop without a daemon."""
-    runs = state / "runs"
-    with suppress(OSError):
-        return [folder for folder in runs.iterdir() if (folder / SOCKET).exists()]
-    return []
+    """Folders of runs that are not over, where a runner may be asked to stop without a daemon.
+
+    OSError where it may not be seen whether there are any.
+    """
+    try:
+        return [folder for folder in (state / "runs").iterdir() if (folder / SOCKET).exists()]
+    except FileNotFoundError:
+        return []

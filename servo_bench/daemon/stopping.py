@@ -1,15 +1,21 @@
 """A stop from the command line: through the daemon, and without it where it does not answer.
 
 Of the bench's file only what a stop needs is read, so that one with a mistake elsewhere can still
-be stopped, and quickly.
+be stopped, and quickly. That there is nothing to stop is said only where it was seen: who may not
+look into the daemon's folder asks the daemon at its configured address.
 """
 
+import fcntl
+import http.client
 import json
+import os
 import ssl
 import urllib.request
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError, URLError
 
 from servo_bench.daemon.sockets import connected, run_folders
 from servo_bench.errors import WireError
@@ -17,17 +23,26 @@ from servo_bench.files import find, read_toml
 from servo_bench.run.lock import holder_of
 
 PATIENCE_S = 2.0
+HOST, PORT = "127.0.0.1", 8420
 STATE = "state"
 """Where a bench's file does not say."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """Where a daemon's runs and its socket are, and what it wants to be shown."""
+    """Where a daemon's runs and its socket are, and what it wants to be shown.
+
+    `url` is where its configuration puts it; "" where that names no port.
+    """
 
     state: Path
     token: str | None = None
     certificate: Path | None = None
+    url: str = ""
+
+
+class _NotAskedError(Exception):
+    """Why somebody who may play could not be asked, in words."""
 
 
 def reach_of(name: str) -> Reach:
@@ -45,60 +60,141 @@ def reach_of(name: str) -> Reach:
         path.parent / str(table.get("state", STATE)),
         token,
         path.parent / str(certificate) if certificate is not None else None,
+        _configured_url(network),
     )
+
+
+def _configured_url(network: dict[str, Any]) -> str:
+    host, port = str(network.get("host", HOST)), network.get("port", PORT)
+    if not isinstance(port, int) or port <= 0:
+        return ""  # a free one, which only the daemon's lock names
+    host = {"0.0.0.0": HOST, "::": "::1"}.get(host, host)  # noqa: S104 - asked, not bound
+    scheme = "https" if network.get("certificate") is not None else "http"
+    return f"{scheme}://[{host}]:{port}" if ":" in host else f"{scheme}://{host}:{port}"
 
 
 def stop_rig(bench: Reach, operator: str) -> str:
     """Stop whatever the daemon of this configuration plays; what was done, in a sentence.
 
     The runner is asked itself, and the daemon as well, so that its queue is held. WireError where
-    neither answers.
+    neither answers, or where one that may play could not be asked.
     """
-    runners = _ask_runners(bench, operator)
-    answer = _ask_daemon(bench, operator)
+    told, unasked = _ask_runners(bench, operator)
+    answer = None
+    try:
+        answer = _ask_daemon(bench, operator)
+    except _NotAskedError as error:
+        if not told:
+            unasked.append(str(error))
+    why = "; ".join(unasked)
     if answer is not None:
-        return answer
-    if runners:
-        return f"the daemon does not answer; {runners} run(s) were told to stop the rig."
+        more = f" The run itself could not be asked ({why}): see that the shaft stands."
+        return answer + (more if unasked else "")
+    if unasked:
+        raise WireError(
+            f"the rig could not be asked to stop: {why}. Whether it moves is not known. If the "
+            "shaft turns, use the emergency stop; where it may not be asked, use sudo, or the "
+            "daemon's own user."
+        )
+    if told:
+        return f"the daemon does not answer; {told} run(s) were told to stop the rig."
     raise WireError(
         "no daemon of this configuration answers, and no run of it is alive: nothing that it "
         "started moves the rig. If the shaft turns, use the emergency stop."
     )
 
 
-def _ask_runners(bench: Reach, operator: str) -> int:
-    """Tell every living runner to stop; how many were told."""
+def _ask_runners(bench: Reach, operator: str) -> tuple[int, list[str]]:
+    """Tell every living runner to stop; how many were told, and why others could not be."""
     told = 0
-    for folder in run_folders(bench.state):
-        with suppress(OSError), connected(folder) as runner:  # a socket that nobody serves
-            runner.send(json.dumps({"kind": "stop", "by": operator}).encode())
+    unasked = []
+    try:
+        folders = run_folders(bench.state)
+    except OSError as error:
+        return 0, [f"{bench.state}: {_reason(error)}"]
+    for folder in folders:
+        try:
+            with connected(folder) as runner:
+                runner.send(json.dumps({"kind": "stop", "by": operator}).encode())
             told += 1
-    return told
+        except (FileNotFoundError, ConnectionRefusedError):
+            continue  # a socket that nobody serves
+        except OSError as error:
+            unasked.append(f"the run {folder.name}: {_reason(error)}")
+    return told, unasked
 
 
 def _ask_daemon(bench: Reach, operator: str) -> str | None:
-    """The daemon's answer; None where there is none."""
-    holder = holder_of(bench.state / "daemon.lock")
-    if holder is None or not holder.url:
+    """The daemon's answer; None where there is none. _NotAskedError where that is not certain."""
+    url = _living_url(bench)
+    if url is None:
         return None
+    if not url:
+        raise _NotAskedError("the daemon's address is not known")
+    try:
+        table = _posted(bench, f"{url}/api/stop", operator)
+        stands = "the rig stands" if table["standing"] else "the rig is being stopped"
+        return f"stopped: {stands}, and the queue is held (state {table['state']})."
+    except HTTPError as error:
+        raise _NotAskedError(f"{url} answers with status {error.code}") from error
+    except URLError as error:
+        if isinstance(error.reason, ConnectionRefusedError):
+            return None
+        raise _NotAskedError(f"{url}: {error.reason}") from error
+    except (OSError, http.client.HTTPException) as error:
+        raise _NotAskedError(f"{url}: {_reason(error)}") from error
+    except (ValueError, LookupError, TypeError) as error:
+        raise _NotAskedError(f"{url} does not answer as a daemon does") from error
+
+
+def _living_url(bench: Reach) -> str | None:
+    """Where the daemon that lives can be asked, "" where nothing says; None where none lives.
+
+    The lock's file outlives a daemon that was killed, and another may have its port by now: only
+    a lock that is held says who is there.
+    """
+    path = bench.state / "daemon.lock"
+    try:
+        if not _is_held(path):
+            return None
+    except FileNotFoundError:
+        return None
+    except OSError:
+        return bench.url
+    holder = holder_of(path)
+    return holder.url if holder is not None and holder.url else bench.url
+
+
+def _is_held(path: Path) -> bool:
+    """Whether somebody has the lock. OSError where that cannot be seen."""
+    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(handle)
+    return False
+
+
+def _posted(bench: Reach, url: str, operator: str) -> Any:
+    """What is answered to a stop; no proxy has a say in it."""
     headers = {"Content-Type": "application/json"}
     if bench.token is not None:
         headers["Authorization"] = f"Bearer {bench.token}"
     request = urllib.request.Request(  # noqa: S310 - our own daemon's address, http or https
-        f"{holder.url}/api/stop",
-        json.dumps({"operator": operator}).encode(),
-        headers,
-        method="POST",
+        url, json.dumps({"operator": operator}).encode(), headers, method="POST"
     )
-    try:
-        with urllib.request.urlopen(  # noqa: S310
-            request, timeout=PATIENCE_S, context=_trusting(bench)
-        ) as answer:
-            table = json.load(answer)
-    except (OSError, ValueError):
-        return None
-    stands = "the rig stands" if table["standing"] else "the rig is being stopped"
-    return f"stopped: {stands}, and the queue is held (state {table['state']})."
+    opener = urllib.request.build_opener(
+        urllib.request.ProxyHandler({}), urllib.request.HTTPSHandler(context=_trusting(bench))
+    )
+    with opener.open(request, timeout=PATIENCE_S) as answer:
+        return json.load(answer)
+
+
+def _reason(error: Exception) -> str:
+    words = error.strerror if isinstance(error, OSError) else None
+    return (words or str(error) or type(error).__name__).lower()
 
 
 def _trusting(bench: Reach) -> ssl.SSLContext | None:

@@ -1,6 +1,7 @@
 """`servo-bench stop`: what it asks, and that it never says more than it has seen."""
 
 import errno
+import getpass
 import json
 import os
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from servo_bench.cli.stop import stop
 from servo_bench.daemon import stopping
 from servo_bench.daemon.sockets import listening
 from servo_bench.daemon.stopping import Reach, reach_of, stop_rig
@@ -146,3 +148,17 @@ def test_the_configured_address_is_read_even_of_a_file_with_mistakes(
 ) -> None:
     (tmp_path / "bench.toml").write_text(f"rig = 3\n[network]\n{network}\n")
     assert reach_of(str(tmp_path / "bench.toml")).url == url
+
+
+def test_a_user_without_a_name_can_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def nameless() -> str:
+        raise KeyError("getpwuid(): uid not found: 4242")
+
+    monkeypatch.setattr(getpass, "getuser", nameless)
+    (tmp_path / "bench.toml").write_text("")
+    with answering(*STANDS) as (url, asked):
+        (tmp_path / "state").mkdir()
+        lock = take(tmp_path / "state" / "daemon.lock", Holder("the daemon", url=url))
+        stop(str(tmp_path / "bench.toml"))
+        lock.release()
+    assert [one["operator"] for one in asked] == ["the operator at a terminal"]

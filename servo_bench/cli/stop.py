@@ -1,11 +1,11 @@
 """`servo-bench stop`: stop the rig of a daemon, from any terminal of its machine."""
 
-import getpass
 from typing import Annotated
 
 import typer
 from rich.console import Console
 
+from servo_bench.cli.stopping import user
 from servo_bench.daemon.stopping import reach_of, stop_rig
 
 
@@ -23,5 +23,5 @@ def stop(
 
     It is no emergency stop.
     """
-    sentence = stop_rig(reach_of(config), f"{getpass.getuser()} at a terminal")
+    sentence = stop_rig(reach_of(config), f"{user()} at a terminal")
     Console(stderr=True, emoji=False).print(sentence, markup=False, soft_wrap=True)

@@ -25,7 +25,7 @@ class StopAsked:
     @property
     def by(self) -> str:
         """The user whose program this is and the first signal; "" before one."""
-        return "" if self._first is None else f"{_user()} ({WORDS[self._first]})"
+        return "" if self._first is None else f"{user()} ({WORDS[self._first]})"
 
     def note(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002
         """A signal's handler."""
@@ -50,8 +50,9 @@ def asked_to_stop() -> Iterator[StopAsked]:
             signal.signal(number, handler)
 
 
-def _user() -> str:
+def user() -> str:
+    """Whose program this is; a user id need not have a name, as in some containers."""
     try:
         return getpass.getuser()
-    except (KeyError, OSError):  # a user id without a name, as in some containers
+    except (KeyError, OSError):
         return "the operator"

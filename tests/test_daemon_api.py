@@ -9,6 +9,7 @@ import json
 import re
 import shutil
 import sqlite3
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -310,6 +311,7 @@ FOREIGN: list[tuple[str, str, dict[str, str], int]] = [
     ("GET", "/api/status", {"Host": "127.0.0.1.evil.example:8420"}, 421),
     ("GET", "/", {"Host": ""}, 421),
     ("POST", "/api/stop", {"Origin": "http://evil.example"}, 403),
+    ("POST", "/api/stop", {"Origin": "http://[bad"}, 403),
     ("POST", "/api/arm", {"Origin": "null"}, 403),
     ("POST", "/api/runs", {"Origin": "http://127.0.0.1:1"}, 403),
     ("POST", "/api/stop", {"Sec-Fetch-Site": "cross-site"}, 403),
@@ -330,11 +332,48 @@ def test_the_same_site_is_not_refused(client: AsgiClient) -> None:
         assert client.post("/api/stop", headers=headers).status_code == 200
 
 
+STRANGE_WORDS: list[tuple[bytes, dict[str, str], str]] = [
+    (b"operator=Ada", {"Content-Type": "application/x-www-form-urlencoded"}, "an operator"),
+    (b'{"operator": "Ada"}', {"Content-Type": "application/x-www-form-urlencoded"}, "Ada"),
+    (b'{"operator": "Ada", "reason": "smoke\\nand fire"}', {}, "Ada (smoke and fire)"),
+    (b'{"operator": "Ada\\u001b[2J", "more": 1}', {}, "Ada\N{REPLACEMENT CHARACTER}[2J"),
+    (b'{"operator": ["Ada"], "reason": "\\ud800"}', {}, "an operator (\N{REPLACEMENT CHARACTER})"),
+    (b'{"operator": "%s"}' % (b"x" * 300), {}, "x" * 199 + "\N{HORIZONTAL ELLIPSIS}"),
+    (b"[]", {}, "an operator"),
+    (b"{", {}, "an operator"),
+    (b"\xff", {}, "an operator"),
+    (b"[" * 60_000, {}, "an operator"),
+    (b"x" * 70_000, {}, "an operator"),
+    (b'{"operator": "Ada"}', {"Transfer-Encoding": "chunked"}, "Ada"),
+]
+
+
+@pytest.mark.parametrize(("body", "headers", "told"), STRANGE_WORDS, ids=range(12))
+def test_a_stop_is_heeded_whatever_its_words_are(
+    client: AsgiClient, body: bytes, headers: dict[str, str], told: str
+) -> None:
+    said = {"Content-Type": "application/json", **headers}
+    assert client.post("/api/stop", content=body, headers=said).status_code == 200
+    assert client.get("/api/status").json()["held_reason"] == f"stopped by {told}"
+
+
+def test_a_stop_does_not_wait_for_words_that_do_not_come(
+    client: AsgiClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(api, "WORDS_PATIENCE_S", 0.0)
+
+    async def words() -> AsyncIterator[bytes]:
+        yield b'{"operator": '
+        await asyncio.Event().wait()
+
+    assert client.post("/api/stop", content=words()).status_code == 200
+    assert client.get("/api/status").json()["held_reason"] == "stopped by an operator"
+
+
 def test_bodies_have_a_length_and_a_limit(shared: AsgiClient) -> None:
-    problem(shared.post("/api/stop", content=b"x" * 70_000), 413)
-    problem(shared.post("/api/stop", headers={"Transfer-Encoding": "chunked"}), 411)
-    said = {"Content-Type": "application/json"}
-    problem(shared.post("/api/stop", content=b"{", headers=said), 422)
+    problem(shared.post("/api/arm", content=b"x" * 70_000), 413)
+    problem(shared.post("/api/arm", headers={"Transfer-Encoding": "chunked"}), 411)
+    problem(shared.post("/api/arm", headers={"Content-Length": b"\xb2"}), 413)
     problem(shared.post("/api/arm", content=b'{"operator": "me"}'), 422)  # not said to be JSON
 
 
@@ -405,7 +444,7 @@ def test_the_live_view_tells_its_status_and_heeds_a_stop(client: AsgiClient) -> 
     ("words", "told"),
     [
         ({"operator": "Ada", "reason": "the space bar"}, "Ada (the space bar)"),
-        ({"operator": "Ada\x1b[2J"}, "an operator at the page"),
+        ({"operator": "Ada\x1b[2J"}, "Ada\N{REPLACEMENT CHARACTER}[2J"),
         ({"operator": ["Ada"], "more": 1}, "an operator at the page"),
     ],
 )

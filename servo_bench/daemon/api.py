@@ -1,11 +1,13 @@
 """The API: routes, typed in and out, that ask the daemon and the library. See docs/daemon.md."""
 
+import asyncio
 import time
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, FastAPI, Query, Request, Response, WebSocket
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect
 
 from servo_bench import __version__
 from servo_bench.daemon import library
@@ -24,6 +26,8 @@ from servo_bench.excitation.experiment import Experiment
 from servo_bench.recording.mcap_file import load
 
 REFRESH_EVERY_S = 2.0
+WORDS_PATIENCE_S = 0.25
+"""How long a stop waits for the words that came with it."""
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
 PROBLEMS: dict[int | str, dict[str, Any]] = {
     "default": {
@@ -246,12 +250,36 @@ async def compare(daemon: Served, a: m.RunId, b: m.RunId) -> dict[str, Any]:
     return await daemon.jobs.compared(*paths)
 
 
-@api.post("/stop")
-async def stop(daemon: Served, request: Request, asked: m.StopRequest | None = None) -> m.Stopped:
-    """Stop the rig now and hold the queue. Needs no turn, and may be asked any number of times."""
-    by = (asked or m.StopRequest()).words(elsewhere=elsewhere(request.client))
-    standing = daemon.stop(by)
+@api.post(
+    "/stop",
+    openapi_extra={
+        "requestBody": {
+            "content": {"application/json": {"schema": m.StopRequest.model_json_schema()}}
+        }
+    },
+)
+async def stop(daemon: Served, request: Request) -> m.Stopped:
+    """Stop the rig now and hold the queue. Needs no turn, and may be asked any number of times.
+
+    It is heeded whatever its body is: words that do not fit are cut, or left.
+    """
+    asked = m.StopRequest.in_bytes(await _words(request, daemon.bench.network.max_body_bytes))
+    standing = daemon.stop(asked.words(elsewhere=elsewhere(request.client)))
     return m.Stopped(standing=standing, state=daemon.condition.state)
+
+
+async def _words(request: Request, most: int) -> bytes:
+    """A stop's body; nothing where it is too long, or does not come."""
+    body = b""
+    try:
+        async with asyncio.timeout(WORDS_PATIENCE_S):
+            async for part in request.stream():
+                body += part
+                if len(body) > most:
+                    return b""
+    except (TimeoutError, ClientDisconnect):
+        return b""
+    return body
 
 
 @api.post("/arm")

@@ -5,7 +5,7 @@
 | Host   | a name that is not ours: another site's page, its name rebound to us  | 421      |
 | Origin | a change, or a WebSocket, that another site's page asks for           | 403      |
 | rate   | more requests than `requests_per_second`; a stop is never refused     | 429      |
-| body   | one without a length, or longer than `max_body_bytes`                 | 411, 413 |
+| body   | one without a length, or longer than `max_body_bytes`; never a stop's | 411, 413 |
 | token  | all below /api but health and login, where a token is configured      | 401      |
 
 A stop from this machine itself needs no token. Tokens are compared in constant time; a login gives
@@ -153,8 +153,8 @@ class Guard:
         peer = (scope.get("client") or ("", 0))[0]
         if path != STOP:
             self._check_rate(path, peer)
-        if scope["type"] == "http":
-            self._check_body(headers)
+            if scope["type"] == "http":
+                self._check_body(headers)
         if self._sessions.needed and path.startswith("/api") and path not in OPEN:
             here = path == STOP and is_loopback(peer)
             if not here and not self._sessions.knows(headers):
@@ -190,7 +190,7 @@ class Guard:
         if "transfer-encoding" in headers:
             raise ApiError(411, "length-needed", "a body must say its length. Send Content-Length.")
         length = headers.get("content-length", "0")
-        if not length.isdigit() or int(length) > self._max_body:
+        if not length.isdecimal() or int(length) > self._max_body:
             raise ApiError(
                 413,
                 "too-large",
@@ -202,7 +202,10 @@ def _check_origin(headers: Headers) -> None:
     """Refuse what a browser sends for another site's page; other programs send no Origin."""
     origin = headers.get("origin")
     if origin is not None:
-        same = urlsplit(origin).netloc.lower() == headers.get("host", "").lower()
+        try:
+            same = urlsplit(origin).netloc.lower() == headers.get("host", "").lower()
+        except ValueError:
+            same = False
     else:
         same = headers.get("sec-fetch-site", "none") in ("same-origin", "none")
     if not same:

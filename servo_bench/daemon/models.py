@@ -1,15 +1,19 @@
 """What goes over the API, typed: the bodies of requests and answers."""
 
+import json
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from servo_bench.catalogue.run import printable
 from servo_bench.daemon.jobs import JobState, Kind
 from servo_bench.daemon.machine import State
 from servo_bench.daemon.requests import Overrides
 from servo_bench.diagnosis.judging.verdict import Verdict
 
-Text = Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
+LONGEST_TEXT = 200
+Text = Annotated[str, Field(max_length=LONGEST_TEXT, pattern=r"^[^\x00-\x1f\x7f]*$")]
 """One line of words."""
 Person = Annotated[
     str,
@@ -53,10 +57,29 @@ class Annotation(Asked):
 
 
 class StopRequest(Asked):
-    """Who stops, and why."""
+    """Who stops, and why. A stop is heeded whatever it says: what does not fit is cut or left."""
 
     operator: Text = ""
     reason: Text = ""
+
+    @classmethod
+    def in_bytes(cls, body: bytes | str) -> "StopRequest":
+        """The words of a body, as far as they are any."""
+        try:
+            table = json.loads(body)
+        except (ValueError, RecursionError):
+            return cls()
+        return cls.in_table(table) if isinstance(table, dict) else cls()
+
+    @classmethod
+    def in_table(cls, table: Mapping[str, Any]) -> "StopRequest":
+        """The words of a message, as far as they are any."""
+        said = {
+            key: printable(" ".join(table[key].split()), LONGEST_TEXT)
+            for key in cls.model_fields
+            if isinstance(table.get(key), str)
+        }
+        return cls(**said)
 
     def words(self, nobody: str = "an operator", elsewhere: str = "") -> str:
         """Who stops and why, as it is shown; `nobody` where no name came.

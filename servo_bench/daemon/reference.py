@@ -76,6 +76,8 @@ def _type(schema: Mapping[str, Any]) -> str:
     for word in ("anyOf", "oneOf", "allOf"):
         if word in schema:
             return " or ".join(_type(one) for one in schema[word])
+    if "properties" in schema:
+        return f"object of {escape(', '.join(schema['properties']))}"
     if "const" in schema:
         return escape(repr(schema["const"]))
     if schema.get("type") == "array":

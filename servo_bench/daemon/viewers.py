@@ -5,7 +5,6 @@ import json
 from contextlib import suppress
 
 from fastapi import WebSocket, WebSocketDisconnect
-from pydantic import ValidationError
 
 from servo_bench.daemon.core import Daemon
 from servo_bench.daemon.guard import elsewhere
@@ -74,7 +73,7 @@ class Viewers:
 
 
 def _stop_in(text: str | None) -> StopRequest | None:
-    """The stop that a message asks for; one with strange words is heeded without them."""
+    """The stop that a message asks for, with what fits of its words."""
     if text is None or len(text) > MAX_MESSAGE:
         return None
     try:
@@ -83,7 +82,4 @@ def _stop_in(text: str | None) -> StopRequest | None:
         return None
     if not isinstance(message, dict) or message.pop("kind", None) != "stop":
         return None
-    try:
-        return StopRequest.model_validate(message)
-    except ValidationError:
-        return StopRequest()
+    return StopRequest.in_table(message)

@@ -192,7 +192,7 @@ def test_the_first_who_stops_stays_named_until_somebody_arms(tmp_path: Path) -> 
     daemon.stop("Ada (smoke)")
     for later in (
         lambda: daemon.stop("an operator at the page"),
-        lambda: daemon.condition.fail("the drive is in fault"),
+        lambda: daemon.condition.fail("the drive is in fault", confirmed=True),
         lambda: daemon.condition.hold("stopped by SIGTERM: 3 of 9 slots played."),
     ):
         later()
@@ -200,7 +200,7 @@ def test_the_first_who_stops_stays_named_until_somebody_arms(tmp_path: Path) -> 
     assert "in fault" in daemon.status()["fault"]["sentence"]
     daemon.condition.arm("Ada")
     assert (why(), daemon.status()["held"]) == ("", False)
-    daemon.condition.fail("the wire is cut")
+    daemon.condition.fail("the wire is cut", confirmed=False)
     daemon.stop("Bob")
     assert why() == "a fault"
 

@@ -71,6 +71,24 @@ def test_who_may_not_look_asks_the_daemon_at_its_configured_address(forbidden: P
     assert "permission denied" in sentence
 
 
+@pytest.mark.parametrize(
+    ("standing", "state", "words"),
+    [
+        (True, "faulted", "the rig stands, and"),
+        (False, "stopping", "the rig is being stopped, and"),
+        (False, "faulted", "whether the rig stands is not known: look at it"),
+    ],
+)
+def test_what_the_daemon_does_not_know_is_not_said(
+    tmp_path: Path, standing: bool, state: str, words: str
+) -> None:
+    body = json.dumps({"stopped": True, "standing": standing, "state": state}).encode()
+    with answering(200, body) as (url, _):
+        lock = take(tmp_path / "daemon.lock", Holder("the daemon", url=url))
+        assert words in stop_rig(Reach(tmp_path), "me")
+        lock.release()
+
+
 @pytest.mark.parametrize("url", ["", NOWHERE])
 def test_who_may_not_look_is_never_told_that_nothing_moves(forbidden: Path, url: str) -> None:
     with pytest.raises(WireError, match=r"permission denied.*not known.*use sudo") as told:

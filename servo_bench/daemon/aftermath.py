@@ -4,6 +4,7 @@ Only when no bus process lives any more, so that there is one master on the bus 
 """
 
 import time
+from typing import NamedTuple
 
 from drivers.canopen import cia402
 from drivers.canopen.line import Line, open_bus
@@ -19,10 +20,20 @@ OWN_STOP_S = 1.0
 LOOK_EVERY_S = 0.05
 
 
-def standing_sentence(rig: RigConfig, period_s: float) -> str:
-    """What the drive says about itself, as a sentence for the operator; never raises ours."""
+class Standing(NamedTuple):
+    """What the drive says about itself, for the operator, and whether that is: without power."""
+
+    sentence: str
+    confirmed: bool
+
+
+def ask_standing(rig: RigConfig, period_s: float) -> Standing:
+    """What the drive says about itself; never raises ours."""
     if isinstance(rig.drive, ModbusDriveConfig):
-        return f"The drive on {rig.drive.protocol} was not asked whether it stands: look at it."
+        protocol = rig.drive.protocol
+        return Standing(
+            f"The drive on {protocol} was not asked whether it stands: look at it.", False
+        )
     try:
         with gathered():
             settings = rig.canopen_settings(period_s)
@@ -33,23 +44,27 @@ def standing_sentence(rig: RigConfig, period_s: float) -> str:
             finally:
                 bus.shutdown()
     except BenchError as error:
-        return f"The drive could not be asked whether it stands ({error}): look at it."
+        return Standing(
+            f"The drive could not be asked whether it stands ({error}): look at it.", False
+        )
 
 
-def _asked(node: Node, patience_s: float) -> str:
+def _asked(node: Node, patience_s: float) -> Standing:
     """Wait for the drive's own stop; where it does not come, stop it by SDO."""
     until_s = time.monotonic() + patience_s
     while _powered(word := node.read(0x6041)) and time.monotonic() < until_s:
         time.sleep(LOOK_EVERY_S)
     if not _powered(word):
-        return f"Asked afterwards, the drive says: {cia402.describe_statusword(word)}."
+        words = cia402.describe_statusword(word)
+        return Standing(f"Asked afterwards, the drive says: {words}.", True)
     node.write(0x6040, 0, cia402.QUICK_STOP)
     node.write(0x6040, 0, cia402.DISABLE_VOLTAGE)
     word = node.read(0x6041)
     advice = " Use the emergency stop if the shaft turns." if _powered(word) else ""
-    return (
+    return Standing(
         f"The drive had not stopped by itself after {patience_s:g} s and was powered off; it says: "
-        f"{cia402.describe_statusword(word)}.{advice}"
+        f"{cia402.describe_statusword(word)}.{advice}",
+        not _powered(word),
     )
 
 

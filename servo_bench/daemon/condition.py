@@ -22,6 +22,8 @@ class Condition:
         self.state = State.IDLE
         self.held: str | None = RESTARTED
         self.fault: dict[str, str] | None = None
+        self.confirmed = True
+        """Whether the end of the last run is known to have left the rig standing."""
         self.last: dict[str, str] | None = None
         self._log = log
         self._recordings = recordings
@@ -31,6 +33,11 @@ class Condition:
         """Whether the rig may be powered."""
         return self.state in PLAYING
 
+    @property
+    def standing(self) -> bool:
+        """Whether the rig is known to stand."""
+        return not self.playing and (self.confirmed or self.state is not State.FAULTED)
+
     def change(self) -> None:
         """Something that a viewer sees has changed."""
         self.version += 1
@@ -39,9 +46,9 @@ class Condition:
         """Go on to the state that follows."""
         state = after(self.state, event)
         if state is not self.state:
-            self._log.info("state", before=self.state, after=state, event_text=event.value)
-            self.state = state
+            before, self.state = self.state, state
             self.change()
+            self._log.info("state", before=before, after=state, event_text=event.value)
 
     def hold(self, cause: str) -> None:
         """Hold the queue."""
@@ -49,11 +56,15 @@ class Condition:
             self.held = cause
         self.change()
 
-    def fail(self, sentence: str) -> None:
-        """A run ended with an error: hold the queue, and tell it."""
+    def fail(self, sentence: str, *, confirmed: bool) -> None:
+        """A run ended with an error: hold the queue, and tell it.
+
+        `confirmed`: it is known all the same that the rig stands.
+        """
         at_utc = datetime.now(UTC).isoformat(timespec="seconds")
         sentence = sentence.replace(f"{self._recordings}/", "")
         self.fault = {"sentence": sentence, "at_utc": at_utc}
+        self.confirmed = confirmed
         self.hold("a fault")
         if self.state is State.IDLE:
             self.fire(Event.STARTED)  # it is told of a run that nobody saw begin
@@ -66,7 +77,7 @@ class Condition:
             raise ApiError(
                 409, "stopping", "the rig is being stopped: arm the queue when it stands."
             )
-        self.held, self.fault = None, None
+        self.held, self.fault, self.confirmed = None, None, True
         self.fire(Event.ARMED)
         self._log.warning("armed", by=by)
         self.change()

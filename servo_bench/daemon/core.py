@@ -9,7 +9,7 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from servo_bench.catalogue import Catalogue
 from servo_bench.catalogue.beside import Notes, write_notes
@@ -38,9 +38,13 @@ from servo_bench.recording.recording import Recording
 from servo_bench.run.limits import STOP_GRACE_S
 from servo_bench.run.lock import Holder, Lock, rig_lock_path, take
 
+if TYPE_CHECKING:
+    from servo_bench.daemon.aftermath import Standing
+
 WATCH_EVERY_S = 0.05
 BUS_SILENT_S = 0.8
 """A bus process that has played no slot for so long is taken for gone."""
+UNKNOWN_END = RunResult("faulted", "how the run ended could not be found out: look at the rig.")
 
 
 class Daemon:
@@ -124,7 +128,7 @@ class Daemon:
         self.log.warning("run left over", run=left.asked.id, outcome=result.outcome)
         self.condition.tell(left.asked.id, result.sentence)
         if result.outcome in ("faulted", "cut"):
-            self.condition.fail(result.sentence)
+            self.condition.fail(result.sentence, confirmed=left.job.simulated)
         runs.discard(left.folder)
 
     # -- what operators do --------------------------------------------------------------------
@@ -169,13 +173,15 @@ class Daemon:
     def stop(self, by: str) -> bool:
         """Stop the rig and hold the queue; whether the rig is known to stand already."""
         run = self._active
-        if run is not None and self.condition.playing:
+        playing = run is not None and self.condition.playing
+        if run is not None and playing:
             run.ask_stop(by)
-            self.condition.fire(Event.STOP_ASKED)
         self._replay = None
         self.condition.hold(f"stopped by {by}")
+        if playing:
+            self.condition.fire(Event.STOP_ASKED)
         self.log.warning("stop", by=by, state=self.condition.state)
-        return not self.condition.playing
+        return self.condition.standing
 
     def play_back(self, run_id: str, recording: Recording, speed: float, start_s: float) -> None:
         """Show a recording on the page. ApiError while the rig plays."""
@@ -289,6 +295,7 @@ class Daemon:
 
     async def _start(self, asked: Waiting) -> None:
         """Begin the run whose turn it is; what cannot begin is a fault, and the queue is held."""
+        run = None
         try:
             job = await asyncio.to_thread(self._job, asked)
             check_room(self.bench.recordings, recording_bytes(job.experiment))
@@ -315,7 +322,11 @@ class Daemon:
             runs.discard(self._runs / asked.id)
             self.condition.fire(Event.STARTED)
             self._drop(asked)
-            self.condition.fail(f"{asked.name} could not begin: {error}")
+            begun = run is not None and run.process is not None  # it was told to end
+            self.condition.fail(
+                f"{asked.name} could not begin: {error}",
+                confirmed=self.bench.simulated or not begun,
+            )
 
     def _drop(self, asked: Waiting) -> None:
         """Take a run that cannot begin out of the queue, if the disk lets it."""
@@ -342,6 +353,21 @@ class Daemon:
 
     async def _finish(self, run: ActiveRun) -> None:
         """The runner is gone: find out how the run ended, and go on or be held."""
+        result, confirmed = UNKNOWN_END, False
+        try:
+            result, confirmed = await self._end_of(run)
+            self._let_go_of(run)
+            self.condition.tell(run.asked.id, result.sentence)
+            self.log.info("run ended", run=run.asked.id, **asdict(result))
+            await self.refresh()
+            runs.discard(run.folder)
+        except Exception as error:  # whatever it is, the run is over
+            self.log.error("unexpected", exc_info=error)
+        await self._conclude(run, result, confirmed=confirmed)
+        run.ended.set()
+
+    async def _end_of(self, run: ActiveRun) -> tuple[RunResult, bool]:
+        """How the run ended, and whether the rig is known to stand; no process of it lives then."""
         result = run.result()
         pid = run.runner_pid
         if result is None and pid is not None:
@@ -349,29 +375,27 @@ class Daemon:
             self.condition.fire(Event.STOP_ASKED)
             await asyncio.to_thread(wait_for_bus_processes, pid, self._stop_takes_s(run))
             result = run.result()
-        result = result or runs.without_a_word(run)
+        result, confirmed = result or runs.without_a_word(run), True
         if result.outcome in ("faulted", "cut"):
             run.silent = True
             self.condition.hold("a fault")
             self.condition.fire(Event.STOP_ASKED)
-            result = await self._with_standing(run, result)
+            result, confirmed = await self._with_standing(run, result)
         if run.process is not None:
             await run.process.wait()
-        self._let_go_of(run)
-        self.condition.tell(run.asked.id, result.sentence)
-        self.log.info("run ended", run=run.asked.id, **asdict(result))
-        await self.refresh()
-        runs.discard(run.folder)
-        await self._conclude(run, result)
-        run.ended.set()
+        return result, confirmed
 
-    async def _with_standing(self, run: ActiveRun, result: RunResult) -> RunResult:
-        """The result with what the drive itself says after a run that ended badly."""
-        if run.job.simulated or result.error not in ("", "WireError"):
-            return result
+    async def _with_standing(self, run: ActiveRun, result: RunResult) -> tuple[RunResult, bool]:
+        """The result with what the drive itself says after a run that ended badly, and whether
+        that is that it stands."""
+        if run.job.simulated:
+            return result, True  # its rig has ended with it
+        if result.error not in ("", "WireError"):
+            return result, False
         self.reachable = False
-        words = await asyncio.to_thread(_standing, run.job)
-        return replace(result, sentence=f"{result.sentence} {words}".strip())
+        said = await asyncio.to_thread(_standing, run.job)
+        words = f"{result.sentence} {said.sentence}".strip()
+        return replace(result, sentence=words), said.confirmed
 
     def _let_go_of(self, run: ActiveRun) -> None:
         """Close the link; the rig's lock that came with it stays ours."""
@@ -384,10 +408,10 @@ class Daemon:
         run.link.close()
         run.link = None
 
-    async def _conclude(self, run: ActiveRun, result: RunResult) -> None:
+    async def _conclude(self, run: ActiveRun, result: RunResult, *, confirmed: bool) -> None:
         self._active = None
         if result.outcome in ("faulted", "cut"):
-            self.condition.fail(result.sentence)
+            self.condition.fail(result.sentence, confirmed=confirmed)
             return
         if result.outcome != "complete":
             self.condition.hold(result.sentence)
@@ -411,6 +435,8 @@ class Daemon:
             await asyncio.to_thread(self.catalogue.refresh)
         except BenchError as error:
             self.log.error("catalogue", error=str(error))
+        except Exception as error:  # a file must not keep a run from its end
+            self.log.error("catalogue", exc_info=error)
 
     @property
     def _rig_lock_path(self) -> Any:
@@ -436,8 +462,8 @@ class Daemon:
             self.stop("a fault of the daemon")
 
 
-def _standing(job: RunJob) -> str:
-    """What the drive says about itself after a run, as a sentence; takes seconds."""
-    from servo_bench.daemon.aftermath import standing_sentence  # noqa: PLC0415 - all drivers
+def _standing(job: RunJob) -> "Standing":
+    """What the drive says about itself after a run; takes seconds."""
+    from servo_bench.daemon.aftermath import ask_standing  # noqa: PLC0415 - all drivers
 
-    return standing_sentence(job.rig, job.experiment.period_s)
+    return ask_standing(job.rig, job.experiment.period_s)

@@ -228,7 +228,10 @@ class Accepted(BaseModel):
 
 
 class Stopped(BaseModel):
-    """The stop was given; `standing` says whether the rig is known to stand already."""
+    """The stop was given; `standing` says whether the rig is known to stand already.
+
+    It is false while the rig is being stopped, and after a fault that left nobody to confirm it.
+    """
 
     stopped: Literal[True] = True
     standing: bool

@@ -24,6 +24,8 @@ from servo_bench.run.lock import holder_of
 
 PATIENCE_S = 2.0
 HOST, PORT = "127.0.0.1", 8420
+QUIET = ("idle", "analysing", "faulted")
+"""States in which nobody stops a rig: whether it stands is known by then, or not at all."""
 STATE = "state"
 """Where a bench's file does not say."""
 
@@ -133,8 +135,7 @@ def _ask_daemon(bench: Reach, operator: str) -> str | None:
         raise _NotAskedError("the daemon's address is not known")
     try:
         table = _posted(bench, f"{url}/api/stop", operator)
-        stands = "the rig stands" if table["standing"] else "the rig is being stopped"
-        return f"stopped: {stands}, and the queue is held (state {table['state']})."
+        return _told(table["standing"], table["state"])
     except HTTPError as error:
         raise _NotAskedError(f"{url} answers with status {error.code}") from error
     except URLError as error:
@@ -145,6 +146,15 @@ def _ask_daemon(bench: Reach, operator: str) -> str | None:
         raise _NotAskedError(f"{url}: {_reason(error)}") from error
     except (ValueError, LookupError, TypeError) as error:
         raise _NotAskedError(f"{url} does not answer as a daemon does") from error
+
+
+def _told(standing: object, state: object) -> str:
+    """What the daemon answered, in words."""
+    if standing is not True and state in QUIET:
+        stands = "whether the rig stands is not known: look at it; the queue"
+    else:
+        stands = f"the rig {'stands' if standing is True else 'is being stopped'}, and the queue"
+    return f"stopped: {stands} is held (state {state})."
 
 
 def _living_url(bench: Reach) -> str | None:

@@ -1,0 +1,137 @@
+"""The daemon's heart without processes: what it is sure of, and what nothing keeps it from."""
+
+import asyncio
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from servo_bench.daemon import active as runs
+from servo_bench.daemon import core
+from servo_bench.daemon.active import ActiveRun
+from servo_bench.daemon.aftermath import Standing
+from servo_bench.daemon.api import build_app
+from servo_bench.daemon.config import load_bench
+from servo_bench.daemon.core import Daemon
+from servo_bench.daemon.job import Outcome, RunResult
+from servo_bench.daemon.log import log
+from servo_bench.daemon.machine import Event, State
+from servo_bench.daemon.queue import Waiting
+from servo_bench.errors import RecordingError
+from servo_bench.rig import load_rig
+from tests.asgi_client import AsgiClient
+from tests.daemon_process import write_bench
+
+ASKED = Waiting("0123456789abcdef", "a.mcap", "a run", "short", "Ada")
+
+
+def daemon_of(folder: Path, logger: Any = None, **bench: Any) -> Daemon:
+    """A daemon that is not opened."""
+    return Daemon(load_bench(write_bench(folder, **bench)), logger or log())
+
+
+def playing(daemon: Daemon, said: RunResult | None = None) -> ActiveRun:
+    """A run that the daemon takes for playing, and what its runner says at the end."""
+    run = runs.prepare(daemon.bench.state / "runs" / ASKED.id, ASKED, daemon._job(ASKED))
+    run.said = said
+    daemon._active = run
+    daemon.condition.fire(Event.STARTED)
+    return run
+
+
+@pytest.mark.parametrize(
+    ("outcome", "error", "says", "standing"),
+    [
+        ("faulted", "WireError", Standing("It could not be asked.", False), False),
+        ("faulted", "WireError", Standing("It is switched off.", True), True),
+        ("faulted", "LimitError", None, False),
+        ("stopped", "", None, True),
+    ],
+)
+def test_the_rig_is_said_to_stand_after_a_confirmed_end_only(  # noqa: PLR0917
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    outcome: Outcome,
+    error: str,
+    says: Standing | None,
+    standing: bool,
+) -> None:
+    daemon = daemon_of(tmp_path, rig=load_rig("rigs/paper.toml"))
+    monkeypatch.setattr(core, "_standing", lambda _: says)
+    run = playing(daemon, RunResult(outcome, "it ended.", error))
+    assert not daemon.stop("Ada")
+    asyncio.run(daemon._finish(run))
+    client = AsgiClient(build_app(daemon, daemon.bench))
+    assert client.post("/api/stop").json()["standing"] is standing
+    daemon.condition.arm("Ada")  # somebody has looked at it
+    assert client.post("/api/stop").json()["standing"]
+
+
+class Broken:
+    """A logger whose sink is gone."""
+
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        def broken(*_: object, **__: object) -> None:
+            raise BrokenPipeError
+
+        return broken
+
+
+def test_a_stop_holds_and_is_heeded_before_anything_is_logged(tmp_path: Path) -> None:
+    daemon = daemon_of(tmp_path)
+    run = playing(daemon)
+    daemon.log = daemon.condition._log = Broken()
+    with pytest.raises(BrokenPipeError):
+        daemon.stop("Ada")
+    assert run.stop_by == "Ada"
+    assert daemon.condition.held == "stopped by Ada"
+    assert daemon.condition.state is State.STOPPING
+
+
+@pytest.mark.parametrize("ended", ["os.close(2)", "sys.stderr.close()", "os.dup2(gone, 2)"])
+def test_a_log_that_nobody_takes_any_more_raises_nothing(ended: str) -> None:
+    program = (
+        "import logging, os, sys\n"
+        "from servo_bench.daemon.log import configure, log\n"
+        "configure(); log().info('first')\n"
+        "read, gone = os.pipe(); os.close(read)\n"
+        f"{ended}\n"
+        "for n in range(3): log().warning('more' * 5000, n=n); logging.warning('theirs')\n"
+        "os._exit(0)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr.count("first")) == (0, 1), done.stderr
+
+
+@pytest.mark.parametrize("error", [ValueError("strange"), RecordingError("damaged"), OSError(5)])
+def test_whatever_the_catalogue_does_a_run_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    daemon = daemon_of(tmp_path)
+
+    def refresh() -> None:
+        raise error
+
+    monkeypatch.setattr(daemon.catalogue, "refresh", refresh)
+    run = playing(daemon, RunResult("complete", "complete."))
+    asyncio.run(daemon._finish(run))
+    assert daemon.condition.state is State.IDLE
+    assert run.ended.is_set()
+    asyncio.run(daemon.refresh())
+
+
+def test_a_run_whose_end_cannot_be_found_out_is_a_fault_and_not_stuck(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    daemon = daemon_of(tmp_path)
+    run = playing(daemon)
+    (run.folder / "result.json").write_text("{")
+    asyncio.run(daemon._finish(run))
+    assert daemon.condition.state is State.FAULTED
+    assert run.ended.is_set()
+    assert not daemon.stop("Ada")

@@ -4,7 +4,7 @@ import asyncio
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
@@ -15,14 +15,18 @@ from servo_bench.daemon import work
 from servo_bench.daemon.api import build_app
 from servo_bench.daemon.config import load_bench
 from servo_bench.daemon.core import Daemon
-from servo_bench.daemon.jobs import KEPT, Job, Jobs, Kind
+from servo_bench.daemon.job import RunResult
+from servo_bench.daemon.jobs import KEPT, WAITING, Job, Jobs, Kind
 from servo_bench.daemon.log import log
+from servo_bench.daemon.machine import State
+from servo_bench.daemon.problems import ApiError
 from servo_bench.diagnosis.judging.verdict import Verdict
 from servo_bench.run.virtual import save
-from tests.asgi_client import AsgiClient
+from tests.asgi_client import HOST, AsgiClient
 from tests.daemon_process import write_bench
 from tests.small_runs import small_run
 from tests.test_daemon_api import problem, recording
+from tests.test_daemon_core import ASKED, daemon_of, playing
 
 VERDICT = Verdict.model_validate(
     {
@@ -53,16 +57,18 @@ class ByHand(Jobs):
         super().__init__(None, *given)
         self.ends: dict[str, asyncio.Future[tuple[int, str]]] = {}
         self.tells: dict[str, Callable[[str], None]] = {}
+        self.begun: list[tuple[str, ...]] = []
 
     async def _work(
         self, kind: str, *recordings: Path, told: Callable[[str], None] = lambda _: None
     ) -> tuple[int, str]:
         self.ends[kind] = asyncio.get_running_loop().create_future()
         self.tells[kind] = told
+        self.begun.append((kind, *(path.name for path in recordings)))
         return await self.ends[kind]
 
 
-async def begun(jobs: ByHand, kind: Kind) -> None:
+async def begun(jobs: ByHand, kind: Kind | Literal["compare"]) -> None:
     """Until work of that kind is being done."""
     while kind not in jobs.ends:
         await asyncio.sleep(0)
@@ -83,7 +89,7 @@ def test_an_analysis_and_a_comparison_do_not_wait_for_a_diagnosis(tmp_path: Path
         jobs.ends["analyse"].set_result((0, "analysed"))
         assert told_of(await jobs.ended(quick)) == ("done", "", "analysed")
         comparing = asyncio.create_task(jobs.compared(tmp_path, tmp_path))
-        await begun(jobs, "compare")  # type: ignore[arg-type]
+        await begun(jobs, "compare")
         jobs.ends["compare"].set_result((0, "{}"))
         assert await comparing == {}
         assert [job.id for job in jobs.open] == [long.id, waits.id]
@@ -135,6 +141,89 @@ def test_a_long_job_is_not_forgotten_for_many_short_ones(tmp_path: Path) -> None
         with pytest.raises(Exception, match="there is no job"):
             jobs.get(first.id)
         await jobs.close()
+
+    asyncio.run(look())
+
+
+def test_the_daemons_own_analysis_goes_first_however_many_wait(tmp_path: Path) -> None:
+    async def look() -> None:
+        jobs = ByHand()
+        jobs.start("analyse", "first", tmp_path)
+        await begun(jobs, "analyse")
+        for number in range(WAITING):
+            jobs.start("analyse", str(number), tmp_path / str(number))
+        await asyncio.sleep(0)
+        with pytest.raises(ApiError, match="jobs wait already"):
+            jobs.start("analyse", "another", tmp_path)
+        with pytest.raises(ApiError, match="jobs wait already"):
+            await jobs.compared(tmp_path, tmp_path)
+        own = jobs.start("analyse", "own", tmp_path / "own", own=True)
+        await asyncio.sleep(0)
+        jobs.ends.pop("analyse").set_result((0, ""))
+        await begun(jobs, "analyse")
+        assert jobs.begun[-1] == ("analyse", "own")
+        jobs.ends.pop("analyse").set_result((0, "analysed"))
+        assert (await jobs.ended(own)).sentence == "analysed"
+        await begun(jobs, "analyse")
+        assert jobs.begun[-1] == ("analyse", "0")
+        await jobs.close()
+
+    asyncio.run(look())
+
+
+def test_a_run_ends_with_many_jobs_open_and_with_none_that_can_be_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def look() -> None:
+        daemon = daemon_of(tmp_path, run="analyse = true")
+        daemon.jobs = jobs = ByHand()
+        for number in range(WAITING + 1):
+            jobs.start("analyse", str(number), tmp_path)
+        await begun(jobs, "analyse")
+        await daemon._finish(playing(daemon, RunResult("complete", "complete.")))
+        assert daemon.condition.state is State.ANALYSING
+        while jobs.open[-1].run != ASKED.id:
+            await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        jobs.ends.pop("analyse").set_result((0, ""))
+        await begun(jobs, "analyse")
+        assert jobs.begun[-1] == ("analyse", "a.mcap")
+        jobs.ends.pop("analyse").set_result((0, "analysed"))
+        await asyncio.gather(*daemon._tasks)
+        assert daemon.condition.state is State.IDLE
+        monkeypatch.setattr(jobs, "start", None)
+        await daemon._finish(playing(daemon, RunResult("complete", "complete.")))
+        await asyncio.gather(*daemon._tasks, return_exceptions=True)
+        assert daemon.condition.state is State.IDLE
+        await jobs.close()
+
+    asyncio.run(look())
+
+
+def test_a_comparison_is_done_once_for_all_who_ask_and_ended_when_they_have_gone(
+    tmp_path: Path,
+) -> None:
+    async def look() -> None:
+        jobs = ByHand()
+        pair = (tmp_path / "a", tmp_path / "b")
+        asking = [asyncio.create_task(jobs.compared(*pair)) for _ in range(3)]
+        await begun(jobs, "compare")
+        waits = asyncio.create_task(jobs.compared(tmp_path, tmp_path))
+        await asyncio.sleep(0)
+        asking[0].cancel()
+        await asyncio.wait(asking[:1])
+        jobs.ends.pop("compare").set_result((0, '{"same": 1}'))
+        assert [await task for task in asking[1:]] == [{"same": 1}] * 2
+        await begun(jobs, "compare")
+        abandoned = jobs.ends.pop("compare")
+        waits.cancel()
+        await asyncio.wait([waits])
+        again = asyncio.create_task(jobs.compared(tmp_path, tmp_path))
+        await begun(jobs, "compare")
+        assert abandoned.cancelled()
+        await jobs.close()
+        with pytest.raises(ApiError, match="the daemon ends"):
+            await again
 
     asyncio.run(look())
 
@@ -238,6 +327,46 @@ def test_a_diagnosis_is_asked_for_where_there_is_a_run_that_is_over(
         words = problem(served.client.post(f"{served.url}/{kind}"), 409)
         assert "Ask when it is over" in words
     assert len(asked) == 1
+
+
+def test_a_comparison_is_ended_when_its_client_goes(served: Served) -> None:
+    async def look() -> None:
+        served.daemon.jobs = jobs = ByHand()
+        app = build_app(served.daemon, served.daemon.bench)
+        gone = asyncio.Event()
+        messages: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
+
+        async def receive() -> dict[str, Any]:
+            await gone.wait()
+            return {"type": "http.disconnect"}
+
+        query = f"a={served.run_id}&b={served.run_id}".encode()
+        asking = asyncio.create_task(app(scope(query), receive, messages.put))
+        await begun(jobs, "compare")
+        gone.set()
+        await asking
+        assert jobs.ends["compare"].cancelled()
+        assert (await messages.get())["status"] == 408
+
+    asyncio.run(look())
+
+
+def scope(query: bytes) -> dict[str, Any]:
+    """A GET of a comparison, as a server hands it on."""
+    return {
+        "type": "http",
+        "asgi": {"version": "3.0"},
+        "http_version": "1.1",
+        "scheme": "http",
+        "method": "GET",
+        "path": "/api/compare",
+        "raw_path": b"/api/compare",
+        "query_string": query,
+        "root_path": "",
+        "headers": [(b"host", HOST.encode())],
+        "client": ("127.0.0.1", 5000),
+        "server": ("127.0.0.1", 8420),
+    }
 
 
 class Playing:

@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from collections.abc import Coroutine
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, FastAPI, Query, Request, Response, WebSocket
@@ -242,12 +243,33 @@ async def job(daemon: Served, job_id: Annotated[str, m.Field(max_length=64)]) ->
 
 
 @api.get("/compare")
-async def compare(daemon: Served, a: m.RunId, b: m.RunId) -> dict[str, Any]:
+async def compare(daemon: Served, request: Request, a: m.RunId, b: m.RunId) -> dict[str, Any]:
     """Has the rig changed between run `a` and run `b`: kernels, noise, parameters."""
     paths = [
         await run_in_threadpool(library.path_of, daemon.catalogue, run_id) for run_id in (a, b)
     ]
-    return await daemon.jobs.compared(*paths)
+    return await _while_wanted(request, daemon.jobs.compared(*paths))
+
+
+async def _while_wanted(
+    request: Request, work: Coroutine[Any, Any, dict[str, Any]]
+) -> dict[str, Any]:
+    """What the work gives; ended where the client has gone. Takes the request's messages."""
+
+    async def gone() -> None:
+        while (await request.receive())["type"] != "http.disconnect":
+            pass
+
+    working, leaving = asyncio.create_task(work), asyncio.create_task(gone())
+    try:
+        await asyncio.wait([working, leaving], return_when=asyncio.FIRST_COMPLETED)
+        if not working.done():
+            raise ApiError(408, "gone", "nobody waits for the answer any more.")
+        return await working
+    finally:
+        for task in (working, leaving):
+            task.cancel()
+        await asyncio.gather(working, leaving, return_exceptions=True)
 
 
 @api.post(

@@ -425,9 +425,13 @@ class Daemon:
             self.condition.fire(Event.ANALYSED)
 
     async def _analyse(self, run: ActiveRun) -> None:
-        job = await self.jobs.ended(self.jobs.start("analyse", run.asked.id, run.job.out))
-        self.condition.tell_more(run.asked.id, f"Analysis: {job.sentence}")
-        self.condition.fire(Event.ANALYSED)
+        """Analyse a run that has just ended; well or not, the next one may begin then."""
+        try:
+            job = self.jobs.start("analyse", run.asked.id, run.job.out, own=True)
+            job = await self.jobs.ended(job)
+            self.condition.tell_more(run.asked.id, f"Analysis: {job.sentence}")
+        finally:
+            self.condition.fire(Event.ANALYSED)
 
     async def refresh(self) -> None:
         """Bring the catalogue up to date; where that cannot be (a full disk) it stays as it was."""

@@ -3,8 +3,8 @@
     python -m servo_bench.daemon.work KIND CPUS RECORDING...
 
 One analysis or comparison at a time, and beside it one diagnosis: that may take minutes, and what
-a run waits for must not wait for it. The bus loop must not feel them: they are nice,
-single-threaded, and keep off the loop's CPU.
+a run waits for must not wait for it, nor for what others have asked for. The bus loop must not feel
+them: they are nice, single-threaded, and keep off the loop's CPU.
 """
 
 import asyncio
@@ -20,6 +20,7 @@ from typing import Any, Literal
 
 from servo_bench.catalogue.run import printable
 from servo_bench.daemon.problems import ApiError
+from servo_bench.daemon.turn import Turn
 from servo_bench.errors import FitError
 
 KEPT = 100
@@ -43,6 +44,14 @@ class Job:
     sentence: str = ""
 
 
+@dataclass
+class _Comparison:
+    """One that waits or works, and how many wait for it."""
+
+    task: "asyncio.Task[dict[str, Any]]"
+    wanted: int = 0
+
+
 async def _nothing() -> None:
     """Nothing follows the end of a job."""
 
@@ -60,8 +69,9 @@ class Jobs:
         self._changed = changed
         self._made = made
         self._jobs: dict[str, Job] = {}
-        self._quick, self._long = asyncio.Lock(), asyncio.Lock()
+        self._quick, self._long = Turn(), Turn()
         self._tasks: dict[str, asyncio.Task[Job]] = {}
+        self._comparisons: dict[tuple[Path, Path], _Comparison] = {}
         self._cpus = (os.sched_getaffinity(0) - {loop_cpu}) or os.sched_getaffinity(0)
 
     @property
@@ -81,21 +91,18 @@ class Jobs:
             )
         return self._jobs[job_id]
 
-    def start(self, kind: Kind, run: str, recording: Path) -> Job:
+    def start(self, kind: Kind, run: str, recording: Path, *, own: bool = False) -> Job:
         """Begin when it is its turn; one that waits or works already is the same job.
 
-        ApiError where too many wait.
+        The daemon's own goes first, however many wait. ApiError where too many do.
         """
-        open_jobs = self.open
-        same = next((job for job in open_jobs if (job.kind, job.run) == (kind, run)), None)
+        same = next((job for job in self.open if (job.kind, job.run) == (kind, run)), None)
         if same is not None:
             return same
-        if len(open_jobs) > WAITING:
-            raise ApiError(
-                429, "many-jobs", f"{WAITING} jobs wait already. Ask again when some are done."
-            )
+        if not own:
+            self._check_room()
         job = self._keep(Job(secrets.token_hex(8), kind, run))
-        task = asyncio.create_task(self._run(job, recording))
+        task = asyncio.create_task(self._run(job, recording, own))
         self._tasks[job.id] = task
         task.add_done_callback(lambda _: self._tasks.pop(job.id))
         return job
@@ -109,22 +116,58 @@ class Jobs:
 
     async def close(self) -> None:
         """End what works."""
-        tasks = list(self._tasks.values())
+        comparing = [comparison.task for comparison in self._comparisons.values()]
+        tasks = [*self._tasks.values(), *comparing]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
 
     async def compared(self, before: Path, after: Path) -> dict[str, Any]:
-        """Two recordings side by side; FitError with the reason where that cannot be done."""
-        async with self._quick:
-            status, words = await self._work("compare", before, after)
+        """Two recordings side by side, done once for all who ask; ended when nobody waits for it.
+
+        FitError with the reason where it cannot be done, ApiError where too many wait.
+        """
+        pair = (before, after)
+        if pair not in self._comparisons:
+            self._check_room()
+            task = asyncio.create_task(self._compare(pair))
+            self._comparisons[pair] = _Comparison(task)
+        comparison = self._comparisons[pair]
+        comparison.wanted += 1
+        try:
+            return await asyncio.shield(comparison.task)
+        except asyncio.CancelledError:
+            if comparison.task.cancelled():
+                raise ApiError(503, "ending", "the daemon ends. Ask when it is back.") from None
+            raise
+        finally:
+            comparison.wanted -= 1
+            if comparison.wanted == 0:
+                comparison.task.cancel()
+                self._forget(pair, comparison)
+
+    async def _compare(self, pair: tuple[Path, Path]) -> dict[str, Any]:
+        async with self._quick.taken():
+            status, words = await self._work("compare", *pair)
         if status != 0:
             raise FitError(words)
         table: dict[str, Any] = json.loads(words)
         return table
 
-    async def _run(self, job: Job, recording: Path) -> Job:
-        async with self._long if job.kind == "diagnose" else self._quick:
+    def _forget(self, pair: tuple[Path, Path], comparison: _Comparison) -> None:
+        """Whoever asks for this pair from now on begins anew."""
+        if self._comparisons.get(pair) is comparison:
+            del self._comparisons[pair]
+
+    def _check_room(self) -> None:
+        if len(self.open) + len(self._comparisons) > WAITING:
+            raise ApiError(
+                429, "many-jobs", f"{WAITING} jobs wait already. Ask again when some are done."
+            )
+
+    async def _run(self, job: Job, recording: Path, own: bool) -> Job:
+        turn = self._long if job.kind == "diagnose" else self._quick
+        async with turn.taken(urgent=own):
             job = self._keep(replace(job, state="running"))
             try:
                 status, words = await self._work(

@@ -5,13 +5,15 @@ import multiprocessing
 import os
 import shutil
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from servo_bench.catalogue import Catalogue, Run, run_id
+from servo_bench.catalogue import Catalogue, Run, reading, run_id
+from servo_bench.catalogue import catalogue as catalogue_module
 from servo_bench.catalogue.beside import Notes, beside, read_notes, write_notes
 from servo_bench.catalogue.index import NAME
 from servo_bench.errors import ConfigError, RecordingError
@@ -287,6 +289,48 @@ def test_damaged_bytes_give_a_line_and_never_an_error(folder: Path, whole: Path)
     runs = _refreshed(folder).search(limit=200).runs
     assert len(runs) == 120
     assert all(run.sentence for run in runs)
+
+
+def test_one_odd_file_keeps_nobody_from_the_others(folder: Path, whole: Path) -> None:
+    shutil.copy(whole, folder / "whole.mcap")
+    skipped = Event(1, "slot skipped", "", {"slot": 0, "to": 10**400})
+    write(folder / "skipped.mcap", rows(20), (skipped,))
+    names = ["slot", "phase", "chip", "velocity_command_rad_s", "load_angle_rad"]
+    messages = json_messages(rows(20), names)
+    strangers_file(folder / "slow.mcap", messages, facts={"period_s": "1e308"})
+    runs = {run.name: run for run in _refreshed(folder).search().runs}
+    assert {name: run.state for name, run in runs.items()} == {
+        "whole": "complete",
+        "skipped": "unreadable",
+        "slow": "complete",
+    }
+    assert "cannot be listed" in runs["skipped"].sentence
+    assert runs["slow"].seconds is None
+
+
+@pytest.mark.parametrize("changed_s", [2.6e11, 1e300, -1e300])
+def test_a_files_time_may_be_anything(folder: Path, changed_s: float) -> None:
+    (folder / "text.mcap").write_text("not MCAP")
+    run = reading.run_of(folder, Path("text.mcap"), 8, changed_s)
+    assert run.started_utc.startswith("9999-12-31")
+
+
+def test_a_folder_that_goes_during_the_walk_is_gone(
+    folder: Path, whole: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("stays", "goes"):
+        (folder / name).mkdir()
+        shutil.copy(whole, folder / name / "run.mcap")
+    walk = os.walk
+
+    def walked(top: Path) -> Iterator[Any]:
+        for found in walk(top):
+            if Path(found[0]).name == "goes":
+                shutil.rmtree(found[0])
+            yield found
+
+    monkeypatch.setattr(catalogue_module.os, "walk", walked)
+    assert _only(_refreshed(folder)).file == "stays/run.mcap"
 
 
 def test_a_name_too_long_for_notes_is_listed_and_told(folder: Path, whole: Path) -> None:

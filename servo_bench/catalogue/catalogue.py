@@ -232,8 +232,11 @@ class Catalogue:
         for root, folders, _ in os.walk(self.folder):
             folders[:] = [name for name in folders if not name.startswith(".")]
             below = PurePosixPath(Path(root).relative_to(self.folder))
-            with os.scandir(root) as entries:
-                files = {entry.name: entry for entry in entries}
+            try:
+                with os.scandir(root) as entries:
+                    files = {entry.name: entry for entry in entries}
+            except OSError:
+                continue  # it was taken away just now, or may not be read: as os.walk has it
             for name in files:
                 if name.lower().endswith(ENDING):
                     found = _found(below / name, {n: files[n] for n in _group(name) if n in files})

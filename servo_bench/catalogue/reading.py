@@ -32,30 +32,44 @@ from servo_bench.recording.glance import Glance, glance
 from servo_bench.recording.recording import Event
 
 LONGEST_SENTENCE = 1000
+UNUSABLE = (ArithmeticError, ValueError, TypeError, LookupError, RecursionError)
+"""What the strangest content of a file may raise, whatever it is asked for."""
 VERDICTS = ("named", "none", "unknown")
 
 
 def run_of(folder: Path, file: PurePath, size: int, changed_s: float) -> Run:
     """The line of the recording `file` below `folder`; `changed_s` is the file's own time."""
     path = folder / file
-    told = _companions(path)
     base = {
         "id": run_id(file),
         "name": printable(file.stem),
         "file": printable(file.as_posix(), 1000),
         "bytes": size,
-        **told,
     }
+    told: dict[str, Any] = {}
     try:
-        found = glance(path)
+        told = _companions(path)
+        run = _run(path, {**base, **told}, changed_s)
+        run.json()  # what cannot be written is told here, and not where it is kept
     except RecordingError as error:
-        sentence = printable(str(error).replace(str(path), file.name), LONGEST_SENTENCE)
-        when = _iso(datetime.fromtimestamp(changed_s, UTC))
-        return Run(**base, state="unreadable", sentence=sentence, started_utc=when)
-    facts = _facts(found, changed_s)
-    written = {key: base[key] for key in ("operator", "notes") if base[key]}
-    name = facts.pop("name") or base["name"]
-    return Run(**{**base, **facts, **written, "name": name})
+        words = str(error).replace(str(path), file.name)
+        return _unreadable({**base, **told}, words, changed_s)
+    except UNUSABLE as error:
+        words = f"it says what cannot be listed ({type(error).__name__}: {printable(error)})."
+        return _unreadable(base, words, changed_s)
+    return run
+
+
+def _run(path: Path, told: Mapping[str, Any], changed_s: float) -> Run:
+    facts = _facts(glance(path), changed_s)
+    written = {key: told[key] for key in ("operator", "notes") if told[key]}
+    name = facts.pop("name") or told["name"]
+    return Run(**{**told, **facts, **written, "name": name})
+
+
+def _unreadable(base: Mapping[str, Any], words: str, changed_s: float) -> Run:
+    sentence = printable(words, LONGEST_SENTENCE)
+    return Run(**base, state="unreadable", sentence=sentence, started_utc=_file_time(changed_s))
 
 
 def _facts(found: Glance, changed_s: float) -> dict[str, Any]:
@@ -67,7 +81,7 @@ def _facts(found: Glance, changed_s: float) -> dict[str, Any]:
     if period_s is None:
         period_s = _number(found.metadata.get(FORMAT_METADATA, {}).get("period_s"))
     state, sentence = _state(found)
-    seconds = None if period_s is None else (found.samples + missed) * period_s
+    seconds = None if period_s is None else _number((found.samples + missed) * period_s)
     return {
         "state": state,
         "sentence": printable(sentence, LONGEST_SENTENCE),
@@ -121,7 +135,15 @@ def _started(facts: Mapping[str, str], changed_s: float) -> str:
     with suppress(ValueError, OverflowError):
         told = datetime.fromisoformat(facts.get("utc", ""))
         return _iso(told.replace(tzinfo=told.tzinfo or UTC).astimezone(UTC))
-    return _iso(datetime.fromtimestamp(changed_s, UTC))
+    return _file_time(changed_s)
+
+
+def _file_time(changed_s: float) -> str:
+    """A file's time; one that no calendar has is the end of time, so that no rule lets it go."""
+    try:
+        return _iso(datetime.fromtimestamp(changed_s, UTC))
+    except (OverflowError, ValueError, OSError):
+        return _iso(datetime.max.replace(tzinfo=UTC))
 
 
 def _iso(when: datetime) -> str:

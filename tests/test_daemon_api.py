@@ -92,6 +92,32 @@ def test_a_run_waits_in_order_and_can_be_taken_out_again(client: AsgiClient) -> 
     assert [entry["id"] for entry in client.get("/api/status").json()["queue"]] == ids[1:]
 
 
+def test_what_is_armed_is_what_was_looked_at(client: AsgiClient) -> None:
+    def arming() -> str:
+        return str(client.get("/api/status").json()["arming"])
+
+    def arm(seen: str) -> Any:
+        return client.post("/api/arm", json={"operator": "me", "seen": seen})
+
+    nothing = arming()
+    first, second = (client.post("/api/runs", json=RUN).json()["id"] for _ in range(2))
+    looked_at = arming()
+    assert arm(looked_at).status_code == 200
+    client.post("/api/stop", json={"reason": "smoke"})
+    stopped = arming()
+    client.delete(f"/api/queue/{first}")
+    left = arming()
+    assert len({nothing, looked_at, stopped, left}) == 4
+    for seen in (nothing, looked_at, stopped, ""):
+        assert "has changed" in problem(arm(seen), 409)
+    assert client.get("/api/status").json()["held_reason"] == "stopped by an operator (smoke)"
+    client.post("/api/runs", json=RUN)
+    assert arming() == left, "what waits behind is not armed by that"
+    assert not arm(left).json()["held"]
+    client.delete(f"/api/queue/{second}")
+    assert client.post("/api/arm", json={"operator": "me"}).status_code == 200
+
+
 REFUSED: list[tuple[dict[str, Any], int, str]] = [
     ({**RUN, "experiment": "../../etc/passwd"}, 404, "no experiment.*short"),
     ({**RUN, "experiment": "/etc/passwd\x00"}, 404, "no experiment"),

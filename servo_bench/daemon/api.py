@@ -307,7 +307,7 @@ async def _words(request: Request, most: int) -> bytes:
 @api.post("/arm")
 async def arm(daemon: Served, asked: m.ArmRequest) -> m.Status:
     """Clear a fault and let the queue go on: somebody has looked at the rig."""
-    daemon.condition.arm(asked.operator)
+    daemon.arm(asked.operator, asked.seen)
     return m.Status.model_validate(daemon.status())
 
 

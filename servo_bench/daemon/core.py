@@ -6,8 +6,10 @@ anything goes wrong: the rig is stopped, the queue is held, only then is anythin
 """
 
 import asyncio
+import json
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
 WATCH_EVERY_S = 0.05
 BUS_SILENT_S = 0.8
 """A bus process that has played no slot for so long is taken for gone."""
+ARMING_DIGITS = 16
 UNKNOWN_END = RunResult("faulted", "how the run ended could not be found out: look at the rig.")
 
 
@@ -183,6 +186,28 @@ class Daemon:
         self.log.warning("stop", by=by, state=self.condition.state)
         return self.condition.standing
 
+    @property
+    def arming(self) -> str:
+        """What arming would do now, as an opaque word: another one where that is something else."""
+        waiting, fault = self.queue.first(), self.condition.fault or {}
+        what = [waiting.id if waiting else "", self.condition.held or "", *fault.values()]
+        return sha256(json.dumps(what).encode()).hexdigest()[:ARMING_DIGITS]
+
+    def arm(self, by: str, seen: str | None = None) -> None:
+        """Clear a fault and let the queue go on.
+
+        ApiError where `seen`, what whoever arms has looked at, is no longer so, and while the rig
+        is being stopped.
+        """
+        if seen is not None and seen != self.arming:
+            raise ApiError(
+                409,
+                "changed",
+                "what waits, or why it is held, has changed since you looked. Nothing was armed: "
+                "look again, then arm.",
+            )
+        self.condition.arm(by)
+
     def play_back(self, run_id: str, recording: Recording, speed: float, start_s: float) -> None:
         """Show a recording on the page. ApiError while the rig plays."""
         if self.condition.playing:
@@ -231,6 +256,7 @@ class Daemon:
             ],
             "limits": self.bench.rig.limits.model_dump(),
             "fault": now.fault,
+            "arming": self.arming,
             "bus_alive": run is None or not run.silent,
             "last": now.last,
             "replay": {"run": replay[0], "speed": replay[1]} if replay else None,

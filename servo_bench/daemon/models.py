@@ -92,9 +92,13 @@ class StopRequest(Asked):
 
 
 class ArmRequest(Asked):
-    """Who has looked at the rig and lets the queue go on."""
+    """Who has looked at the rig and lets the queue go on.
+
+    `seen`: the status's `arming` as it was looked at; where it is another by now, nothing is armed.
+    """
 
     operator: Person
+    seen: Annotated[str, Field(max_length=64)] | None = None
 
 
 class ReplayRequest(Asked):
@@ -191,7 +195,10 @@ class JobView(BaseModel):
 
 
 class Status(BaseModel):
-    """Everything that changes while the daemon lives; `jobs` are those that wait or work."""
+    """Everything that changes while the daemon lives; `jobs` are those that wait or work.
+
+    `arming` stands for what arming would do now: which run would begin, after which stop or fault.
+    """
 
     state: State
     held: bool
@@ -201,6 +208,7 @@ class Status(BaseModel):
     queue: list[QueueEntry]
     limits: LimitsView
     fault: Fault | None
+    arming: str
     bus_alive: bool
     last: Last | None
     replay: Replaying | None

@@ -20,6 +20,7 @@ from servo_bench.daemon.job import Outcome, RunResult
 from servo_bench.daemon.log import log
 from servo_bench.daemon.machine import Event, State
 from servo_bench.daemon.queue import Waiting
+from servo_bench.daemon.sockets import listening
 from servo_bench.errors import RecordingError
 from servo_bench.rig import load_rig
 from tests.asgi_client import AsgiClient
@@ -135,3 +136,39 @@ def test_a_run_whose_end_cannot_be_found_out_is_a_fault_and_not_stuck(
     assert daemon.condition.state is State.FAULTED
     assert run.ended.is_set()
     assert not daemon.stop("Ada")
+
+
+def left(daemon: Daemon) -> Path:
+    """The folder of a run that was prepared, and no more."""
+    return runs.prepare(daemon.bench.state / "runs" / ASKED.id, ASKED, daemon._job(ASKED)).folder
+
+
+@pytest.mark.parametrize(
+    ("waits", "begun", "told"),
+    [
+        (True, False, None),
+        (False, False, "before it could begin; nothing moved"),
+        (True, True, "was killed"),
+    ],
+)
+def test_a_run_that_was_only_prepared_keeps_its_place(
+    tmp_path: Path, waits: bool, begun: bool, told: str | None
+) -> None:
+    folder = left(first := daemon_of(tmp_path))
+    if waits:
+        first.queue.add(ASKED)
+    if begun:
+        listening(folder).close()
+
+    async def look() -> None:
+        daemon = daemon_of(tmp_path)
+        await daemon.open("http://127.0.0.1:1")
+        assert [entry.id for entry in daemon.queue] == ([ASKED.id] if told is None else [])
+        assert daemon.condition.state is (State.FAULTED if begun else State.IDLE)
+        sentence = (daemon.condition.last or {"sentence": ""})["sentence"]
+        assert (told or "") in sentence
+        assert bool(sentence) == (told is not None)
+        assert not folder.exists()
+        await daemon.close()
+
+    asyncio.run(look())

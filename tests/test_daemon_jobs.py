@@ -3,6 +3,7 @@
 import asyncio
 import json
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,18 +16,19 @@ from servo_bench.daemon import work
 from servo_bench.daemon.api import build_app
 from servo_bench.daemon.config import load_bench
 from servo_bench.daemon.core import Daemon
-from servo_bench.daemon.job import RunResult
+from servo_bench.daemon.job import RESULT, Outcome, RunResult
 from servo_bench.daemon.jobs import KEPT, WAITING, Job, Jobs, Kind
 from servo_bench.daemon.log import log
 from servo_bench.daemon.machine import State
 from servo_bench.daemon.problems import ApiError
+from servo_bench.daemon.store import write_json
 from servo_bench.diagnosis.judging.verdict import Verdict
 from servo_bench.run.virtual import save
 from tests.asgi_client import HOST, AsgiClient
 from tests.daemon_process import write_bench
 from tests.small_runs import small_run
 from tests.test_daemon_api import problem, recording
-from tests.test_daemon_core import ASKED, daemon_of, playing
+from tests.test_daemon_core import ASKED, daemon_of, left, playing
 
 VERDICT = Verdict.model_validate(
     {
@@ -196,6 +198,55 @@ def test_a_run_ends_with_many_jobs_open_and_with_none_that_can_be_begun(
         await asyncio.gather(*daemon._tasks, return_exceptions=True)
         assert daemon.condition.state is State.IDLE
         await jobs.close()
+
+    asyncio.run(look())
+
+
+@pytest.mark.parametrize(
+    ("outcome", "analyse", "analysed"),
+    [("complete", True, True), ("stopped", True, True), ("complete", False, False)]
+    + [(outcome, True, False) for outcome in ("nothing", "faulted", "cut")],
+)
+def test_a_run_that_ended_without_a_daemon_is_analysed_by_the_next_one(
+    tmp_path: Path, outcome: Outcome, analyse: bool, analysed: bool
+) -> None:
+    folder = left(daemon_of(tmp_path))
+    write_json(folder / RESULT, asdict(RunResult(outcome, "it ended.")))
+
+    async def look() -> None:
+        daemon = daemon_of(tmp_path, run=f"analyse = {str(analyse).lower()}")
+        daemon.jobs = jobs = ByHand()
+        await daemon.open("http://127.0.0.1:1")
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        assert [(job.kind, job.run) for job in jobs.open] == [("analyse", ASKED.id)] * analysed
+        if analysed:
+            await begun(jobs, "analyse")
+            jobs.ends["analyse"].set_result((0, "well."))
+            await jobs.ended(jobs.open[0])
+            await asyncio.sleep(0)
+            assert daemon.status()["last"]["sentence"] == "it ended. Analysis: well."
+        assert not folder.exists()
+        await daemon.close()
+
+    asyncio.run(look())
+
+
+def test_an_analysis_that_the_daemons_end_cut_off_is_done_by_the_next_one(tmp_path: Path) -> None:
+    async def look() -> None:
+        daemon = daemon_of(tmp_path, run="analyse = true")
+        daemon.jobs = jobs = ByHand()
+        run = playing(daemon, RunResult("complete", "complete."))
+        write_json(run.folder / RESULT, asdict(RunResult("complete", "complete.")))
+        await daemon._finish(run)
+        await begun(jobs, "analyse")
+        await daemon.close()
+        following = daemon_of(tmp_path, run="analyse = true")
+        following.jobs = jobs = ByHand()
+        await following.open("http://127.0.0.1:1")
+        await begun(jobs, "analyse")
+        assert jobs.begun == [("analyse", "a.mcap")]
+        await following.close()
 
     asyncio.run(look())
 

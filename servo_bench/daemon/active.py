@@ -1,6 +1,6 @@
 """The run that plays: its folder, its runner, and what is known of it from moment to moment.
 
-A run folder (state/runs/ID) holds, until the run is over and catalogued:
+A run folder (state/runs/ID) holds, until the run is over, catalogued, and analysed:
 
     waiting.json   what was asked, as it stood in the queue
     job.json       what the runner was given
@@ -24,7 +24,7 @@ from servo_bench.daemon.job import JOB, RESULT, RUNNER, RunJob, RunResult
 from servo_bench.daemon.link import Message, RunnerLink
 from servo_bench.daemon.live import TableSource
 from servo_bench.daemon.queue import Waiting
-from servo_bench.daemon.sockets import listening
+from servo_bench.daemon.sockets import SOCKET, listening
 from servo_bench.daemon.store import read_json, write_json
 
 WAITING, LOG = "waiting.json", "runner.log"
@@ -87,8 +87,16 @@ class ActiveRun:
         return last_words(self.folder)
 
 
+def has_begun(folder: Path) -> bool:
+    """Whether a run's runner was ever started: its socket is made before it."""
+    return (folder / RUNNER).exists() or (folder / SOCKET).exists()
+
+
 def without_a_word(run: ActiveRun) -> RunResult:
-    """What is said of a run whose runner was killed."""
+    """What is said of a run whose runner was killed, or never came to be."""
+    if not has_begun(run.folder):
+        sentence = "the daemon ended before it could begin; nothing moved. Ask for it again."
+        return RunResult("nothing", sentence)
     words = run.last_words()
     left = "what it recorded until then is kept" if run.job.out.exists() else "nothing was recorded"
     said = f" It last said: {words}." if words else ""

@@ -81,6 +81,9 @@ class Daemon:
         self._state_lock = take(self.bench.state / "daemon.lock", holder)
         self._runs.mkdir(exist_ok=True)
         for left in runs.left_over(self._runs):
+            if not runs.has_begun(left.folder) and self._waits(left.asked.id):
+                runs.discard(left.folder)  # it was being prepared, and has its turn again
+                continue
             self.queue.remove(left.asked.id)  # it was about to leave the queue
             if self._active is None and self._found(left):
                 continue
@@ -111,6 +114,9 @@ class Daemon:
         if self._state_lock is not None:
             self._state_lock.release()
 
+    def _waits(self, run_id: str) -> bool:
+        return any(entry.id == run_id for entry in self.queue)
+
     def _found(self, left: ActiveRun) -> bool:
         """Take up a run whose runner lives; False where none does."""
         try:
@@ -132,7 +138,10 @@ class Daemon:
         self.condition.tell(left.asked.id, result.sentence)
         if result.outcome in ("faulted", "cut"):
             self.condition.fail(result.sentence, confirmed=left.job.simulated)
-        runs.discard(left.folder)
+        if self._to_be_analysed(left, result):
+            self._spawn(self._analyse_left(left))
+        else:
+            runs.discard(left.folder)
 
     # -- what operators do --------------------------------------------------------------------
 
@@ -386,7 +395,8 @@ class Daemon:
             self.condition.tell(run.asked.id, result.sentence)
             self.log.info("run ended", run=run.asked.id, **asdict(result))
             await self.refresh()
-            runs.discard(run.folder)
+            if not self._to_be_analysed(run, result):
+                runs.discard(run.folder)
         except Exception as error:  # whatever it is, the run is over
             self.log.error("unexpected", exc_info=error)
         await self._conclude(run, result, confirmed=confirmed)
@@ -453,11 +463,26 @@ class Daemon:
     async def _analyse(self, run: ActiveRun) -> None:
         """Analyse a run that has just ended; well or not, the next one may begin then."""
         try:
-            job = self.jobs.start("analyse", run.asked.id, run.job.out, own=True)
-            job = await self.jobs.ended(job)
-            self.condition.tell_more(run.asked.id, f"Analysis: {job.sentence}")
+            await self._analyse_left(run)
         finally:
             self.condition.fire(Event.ANALYSED)
+
+    async def _analyse_left(self, run: ActiveRun) -> None:
+        """Analyse a run that is over, whenever it ended; its folder stays until that is done."""
+        job = self.jobs.start("analyse", run.asked.id, run.job.out, own=True)
+        job = await self.jobs.ended(job)
+        if job.state in ("done", "failed"):
+            runs.discard(run.folder)
+            self.condition.tell_more(run.asked.id, f"Analysis: {job.sentence}")
+            self.condition.change()
+
+    def _to_be_analysed(self, run: ActiveRun, result: RunResult) -> bool:
+        """Whether an analysis follows; by the next daemon, where this one ends before it is done.
+
+        A full disk may have kept the result out of the folder: nobody could tell it from there.
+        """
+        wanted = self.bench.run.analyse and result.outcome in ("complete", "stopped")
+        return wanted and runs.result_in(run.folder) is not None
 
     async def refresh(self) -> None:
         """Bring the catalogue up to date; where that cannot be (a full disk) it stays as it was."""

@@ -1,9 +1,11 @@
 """The daemon's heart without processes: what it is sure of, and what nothing keeps it from."""
 
 import asyncio
+import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -172,3 +174,55 @@ def test_a_run_that_was_only_prepared_keeps_its_place(
         await daemon.close()
 
     asyncio.run(look())
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        ({"colour": 1}, "(?s)could not begin: .*colour"),
+        ([], "could not begin"),
+        ({"periods": "\ud800"}, "could not begin"),
+    ],
+)
+def test_an_entry_of_another_version_is_refused_and_the_watch_goes_on(
+    tmp_path: Path, overrides: Any, words: str
+) -> None:
+    daemon = daemon_of(tmp_path)
+    daemon.queue.add(replace(ASKED, overrides=overrides))
+    daemon.condition.arm("Ada")
+
+    async def look() -> None:
+        await daemon._look()
+        assert daemon.condition.state is State.FAULTED
+        assert re.search(words, daemon.status()["fault"]["sentence"])
+        assert list(daemon.queue) == []
+        daemon.condition.arm("Ada")
+        await daemon._look()
+        assert daemon.condition.state is State.IDLE
+
+    asyncio.run(look())
+
+
+def test_nothing_that_it_meets_ends_the_watch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    daemon = daemon_of(tmp_path)
+    daemon.condition.arm("Ada")
+    monkeypatch.setattr(core, "WATCH_EVERY_S", 0.0)
+    looks: list[str | None] = []
+    enough = asyncio.Event()
+
+    async def strange() -> None:
+        looks.append(daemon.condition.held)
+        if len(looks) == 3:
+            enough.set()
+        raise ValueError("strange")
+
+    async def look() -> None:
+        monkeypatch.setattr(daemon, "_look", strange)
+        watching = asyncio.create_task(daemon._watch())
+        await enough.wait()
+        watching.cancel()
+
+    asyncio.run(look())
+    assert looks[:2] == [None, "stopped by a fault of the daemon"]

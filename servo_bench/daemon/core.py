@@ -36,6 +36,7 @@ from servo_bench.daemon.requests import (
     recording_bytes,
 )
 from servo_bench.errors import BenchError, RecordingError
+from servo_bench.files import validated
 from servo_bench.recording.recording import Recording
 from servo_bench.run.limits import STOP_GRACE_S
 from servo_bench.run.lock import Holder, Lock, rig_lock_path, take
@@ -292,7 +293,11 @@ class Daemon:
     async def _watch(self) -> None:
         """Look at the run, and start the next one, for as long as the daemon lives."""
         while True:
-            await self._look()
+            try:
+                await self._look()
+            except Exception as error:  # nothing that it meets may end the watch
+                self.log.error("unexpected", exc_info=error)
+                self.stop("a fault of the daemon")
             await asyncio.sleep(WATCH_EVERY_S)
 
     async def _look(self) -> None:
@@ -352,7 +357,9 @@ class Daemon:
                 run, self._rig_lock.descriptor, lambda: self._spawn(self._finish(run))
             )
             self.log.info("run started", run=asked.id, operator=asked.operator)
-        except (BenchError, OSError) as error:
+        except Exception as error:  # an entry of another version may be anything
+            if not isinstance(error, BenchError | OSError):
+                self.log.error("unexpected", exc_info=error)
             self._active = None
             runs.discard(self._runs / asked.id)
             self.condition.fire(Event.STARTED)
@@ -375,7 +382,7 @@ class Daemon:
         return RunJob(
             id=asked.id,
             experiment=chosen_experiment(
-                self.bench, asked.experiment, Overrides.model_validate(asked.overrides)
+                self.bench, asked.experiment, validated(Overrides, asked.overrides, "the request")
             ),
             rig=self.bench.rig,
             out=self.bench.recordings / asked.file,

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import os
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -23,9 +24,12 @@ from servo_bench.daemon.machine import State
 from servo_bench.daemon.problems import ApiError
 from servo_bench.daemon.store import write_json
 from servo_bench.diagnosis.judging.verdict import Verdict
+from servo_bench.errors import RecordingError
+from servo_bench.recording.recording import Event
 from servo_bench.run.virtual import save
 from tests.asgi_client import HOST, AsgiClient
 from tests.daemon_process import write_bench
+from tests.recording_files import rows, write
 from tests.small_runs import small_run
 from tests.test_daemon_api import problem, recording
 from tests.test_daemon_core import ASKED, daemon_of, left, playing
@@ -348,6 +352,64 @@ def test_a_verdict_that_is_none_is_said_and_the_run_is_shown_all_the_same(
     assert "reference.mcap.diagnosis.json" in words
     assert str(served.path.parent) not in words
     assert served.client.get(served.url).json()["diagnosis"] is None
+
+
+FOREIGN = (
+    '{"run": 7}',
+    '{"flags": 7, "memory": 9}',
+    '{"vaf_same_order3_percent": NaN, "run": 7, "flags": "ab", "\\ud800": "\\udfff", "deep": %s}'
+    % ("[" * 200 + "]" * 200),
+)
+
+
+@pytest.mark.parametrize("text", FOREIGN)
+def test_what_somebody_else_has_beside_a_recording_is_no_analysis(
+    served: Served, text: str
+) -> None:
+    places = beside(served.path)
+    places.figures.write_text(text)
+    places.report.write_bytes(b"\xff theirs")
+    shown = served.client.get(served.url)
+    assert shown.status_code == 200, shown.text
+    (row,) = served.client.get("/api/runs").json()["runs"]
+    if "vaf" in text:
+        return  # it calls itself one
+    assert (shown.json()["kernels"], shown.json()["has_report"]) == (None, False)
+    assert row["figures"] == {}
+    for path in ("report", "analysis"):
+        assert "analyse the run first" in problem(served.client.get(f"{served.url}/{path}"), 404)
+
+
+def test_a_report_of_somebody_else_is_not_overwritten(served: Served) -> None:
+    places = beside(served.path)
+    places.report.write_text("theirs")
+    with pytest.raises(RecordingError, match="holds no report of an analysis"):
+        work.analyse(served.path)
+    assert places.report.read_text() == "theirs"
+
+
+def test_notes_and_events_that_are_no_unicode_are_shown_all_the_same(tmp_path: Path) -> None:
+    strange = Event(1, "note", "\ud800", {"\ud800": ["\udfff", {"a": None}]})
+    made = write(tmp_path / "made.mcap", rows(20), (strange,))
+    served = Served(tmp_path, made.read_bytes())
+    beside(served.path).notes.write_text(
+        '{"notes": "a \\ud800", "tags": [], "operator": "\\ud800"}'
+    )
+    shown = served.client.get(served.url)
+    assert shown.status_code == 200, shown.text
+    assert shown.json()["notes"] == "a ?"
+    served.daemon.catalogue.refresh()
+    (row,) = served.client.get("/api/runs").json()["runs"]
+    assert row["notes"] == "a ?"
+
+
+def test_a_recording_whose_name_is_no_unicode_is_fetched(served: Served) -> None:
+    odd = Path(os.fsdecode(os.fsencode(served.path.parent) + b"/odd-\xff.mcap"))
+    served.path.rename(odd)
+    served.daemon.catalogue.refresh()
+    (row,) = served.client.get("/api/runs").json()["runs"]
+    fetched = served.client.get(f"/api/runs/{row['id']}/recording")
+    assert fetched.content == odd.read_bytes()
 
 
 def test_the_description_has_the_verdicts_own_schema(served: Served) -> None:

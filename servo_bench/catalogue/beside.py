@@ -79,13 +79,16 @@ def has_figures(path: Path) -> bool:
 
 
 def make_way_for_figures(recording: Path) -> None:
-    """Raise RecordingError where a file that no analysis wrote has the name of its figures."""
-    path = beside(recording).figures
-    if path.exists() and not has_figures(path):
-        raise RecordingError(
-            f"{path} is there and holds no figures of an analysis, which would take its place. "
-            "Move it away, or give the recording another name."
-        )
+    """Raise RecordingError where what no analysis wrote has the name of its figures or report."""
+    at = beside(recording)
+    if has_figures(at.figures):
+        return
+    for path, what in ((at.figures, "figures"), (at.report, "report")):
+        if path.exists():
+            raise RecordingError(
+                f"{path} is there and holds no {what} of an analysis, which would take its place. "
+                "Move it away, or give the recording another name."
+            )
 
 
 def read_notes(recording: Path) -> Notes:

@@ -17,7 +17,7 @@ from pathlib import Path
 from servo_bench.errors import ConfigError, RecordingError, disk_is_full
 
 NAME = ".servo-bench-catalogue.sqlite"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 BUSY_S = 20.0
 DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 SCHEMA = (

@@ -19,7 +19,7 @@ from servo_bench.catalogue.beside import (
     read_json,
     read_notes,
 )
-from servo_bench.catalogue.run import LONGEST_TEXT, Run, State, printable, run_id
+from servo_bench.catalogue.run import LONGEST_TEXT, Run, State, plain, printable, run_id
 from servo_bench.errors import RecordingError
 from servo_bench.recording.format import (
     EXPERIMENT_METADATA,
@@ -93,7 +93,7 @@ def _facts(found: Glance, changed_s: float) -> dict[str, Any]:
         "missed": None if found.measured else missed,
         "name": printable(facts.get("run_name", "")),
         "operator": printable(facts.get("operator", "")),
-        "notes": str(facts.get("run_notes", ""))[:LONGEST_NOTES],
+        "notes": plain(str(facts.get("run_notes", "")))[:LONGEST_NOTES],
     }
 
 
@@ -180,9 +180,9 @@ def _companions(path: Path) -> dict[str, Any]:
     except RecordingError as error:
         notes = Notes(notes=printable(error, LONGEST_SENTENCE))
     return {
-        "notes": notes.notes,
+        "notes": plain(notes.notes),
         "tags": notes.tags,
-        "operator": notes.operator,
+        "operator": printable(notes.operator),
         "figures": _figures(beside(path).figures),
         **_verdict(beside(path).diagnosis),
     }
@@ -193,7 +193,7 @@ def _figures(path: Path) -> dict[str, Any]:
     table = _companion(path)
     if FIGURE not in table:
         return {}
-    return {name: value for name, value in table.items() if _is_scalar(value)}
+    return {plain(name): plain(value) for name, value in table.items() if _is_scalar(value)}
 
 
 def _is_scalar(value: object) -> bool:

@@ -11,6 +11,7 @@
 
 import hashlib
 import json
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -21,6 +22,7 @@ State = Literal["complete", "stopped", "faulted", "cut", "unreadable"]
 
 ID_DIGITS = 16
 LONGEST_TEXT = 200
+DEEPEST = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,3 +94,17 @@ def printable(text: object, longest: int = LONGEST_TEXT) -> str:
     """`text` on one line, without what a terminal or a page would obey or cannot show."""
     shown = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in str(text))
     return shown if len(shown) <= longest else shown[: longest - 1] + "\N{HORIZONTAL ELLIPSIS}"
+
+
+def plain(value: Any, deepest: int = DEEPEST) -> Any:
+    """A value out of a file as every reader of JSON takes it: text that is Unicode, and None for
+    what is no finite number or lies deeper than so many levels."""
+    if isinstance(value, str):
+        return value.encode(errors="replace").decode()
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict | list) and deepest == 0:
+        return None
+    if isinstance(value, dict):
+        return {plain(str(key)): plain(one, deepest - 1) for key, one in value.items()}
+    return [plain(one, deepest - 1) for one in value] if isinstance(value, list) else value

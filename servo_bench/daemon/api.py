@@ -173,7 +173,8 @@ async def annotate(daemon: Served, run_id: m.RunId, asked: m.Annotation) -> m.Ru
 async def recording(daemon: Served, run_id: m.RunId) -> FileResponse:
     """The recording itself (MCAP)."""
     path = await run_in_threadpool(library.path_of, daemon.catalogue, run_id)
-    return FileResponse(path, media_type="application/octet-stream", filename=path.name)
+    name = path.name.encode(errors="replace").decode()  # a file's name may be any bytes
+    return FileResponse(path, media_type="application/octet-stream", filename=name)
 
 
 @api.get("/runs/{run_id}/report", response_class=HTMLResponse)
@@ -198,7 +199,7 @@ async def _page_beside(daemon: Daemon, run_id: str, kind: str) -> HTMLResponse:
     """A page that our own work has made, where no script can run."""
     path = await run_in_threadpool(library.companion, daemon.catalogue, run_id, kind)
     headers = {"Content-Security-Policy": REPORT_POLICY}
-    return HTMLResponse(await run_in_threadpool(path.read_text), headers=headers)
+    return HTMLResponse(await run_in_threadpool(path.read_bytes), headers=headers)
 
 
 @api.get("/runs/{run_id}/analysis", response_class=JSONResponse)

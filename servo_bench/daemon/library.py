@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from servo_bench.catalogue import Catalogue, Run
-from servo_bench.catalogue.beside import beside, read_json
+from servo_bench.catalogue.beside import FIGURE, beside, has_figures, read_json
+from servo_bench.catalogue.run import plain
 from servo_bench.clock import NS_PER_S
 from servo_bench.daemon.problems import ApiError
 from servo_bench.diagnosis.judging.verdict import Verdict
@@ -43,8 +44,10 @@ def path_of(catalogue: Catalogue, run_id: str) -> Path:
 
 def companion(catalogue: Catalogue, run_id: str, kind: str) -> Path:
     """A file that an analysis or a diagnosis made beside the recording; ApiError without one."""
-    found: Path = getattr(beside(path_of(catalogue, run_id)), kind)
-    if not found.is_file() or found.is_symlink():
+    places = beside(path_of(catalogue, run_id))
+    found: Path = getattr(places, kind)
+    own = kind.startswith("diagnosis") or has_figures(places.figures)
+    if not own or not found.is_file() or found.is_symlink():
         work = "diagnose" if kind.startswith("diagnosis") else "analyse"
         slug = f"no-{kind.replace('_', '-')}"
         words = f"{found.name} is not there: {work} the run first, then ask again."
@@ -70,15 +73,17 @@ def detail(catalogue: Catalogue, run_id: str) -> dict[str, Any]:
     path = path_of(catalogue, run_id)
     places = beside(path)
     figures = _table(places.figures)
+    figures = plain(figures) if FIGURE in figures else {}
+    flags, quality = figures.get("flags"), figures.get("run")
     return {
         **run.row(),
-        "sentences": [str(flag) for flag in figures.get("flags", [])],
-        "quality": figures.get("run"),
+        "sentences": [str(flag) for flag in flags] if isinstance(flags, list) else [],
+        "quality": quality if isinstance(quality, dict) else None,
         "kernels": {key: value for key, value in figures.items() if key not in ("flags", "run")}
         or None,
         "diagnosis": _verdict(places.diagnosis),
         "events": _events(path),
-        "has_report": places.report.is_file(),
+        "has_report": bool(figures) and places.report.is_file(),
         "has_diagnosis_page": places.diagnosis_page.is_file(),
     }
 
@@ -106,9 +111,9 @@ def _events(path: Path) -> list[dict[str, Any]]:
     return [
         {
             "at_s": (event.time_ns - begun_ns) / NS_PER_S,
-            "kind": event.kind,
-            "text": event.text,
-            "data": dict(event.data),
+            "kind": plain(event.kind),
+            "text": plain(event.text),
+            "data": plain(dict(event.data)),
         }
         for event in events[:MOST_EVENTS]
     ]

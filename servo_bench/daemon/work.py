@@ -36,8 +36,9 @@ def analyse(path: Path) -> str:
     recording = load(path, allow_cut=True)
     analysis = analyse_recording(recording)
     places = beside(path)
-    replace(places.report, analysis_report(analysis, recording).encode())
+    report = analysis_report(analysis, recording).encode()
     replace_json(places.figures, {**analysis.numbers(), **_curves(analysis)})
+    replace(places.report, report)  # last: without figures beside it, it would be somebody else's
     validation = analysis.validation
     fresh = validation.velocity.vaf_order3_percent if validation else None
     return f"kernels to order 3 predict {percent(fresh)} of the held-out velocity."

@@ -32,14 +32,16 @@ from servo_bench.daemon.live import (
 from servo_bench.daemon.notify import notify, watchdog_s
 from servo_bench.daemon.processes import bus_processes
 from servo_bench.daemon.queue import Queue, Waiting
-from servo_bench.daemon.requests import new_file
+from servo_bench.daemon.requests import new_file, recording_bytes
 from servo_bench.errors import BenchError, BusyError, ConfigError, RecordingError
-from servo_bench.recording.recording import SAMPLE_DTYPE
+from servo_bench.recording.mcap_file import RecordingWriter
+from servo_bench.recording.recording import FAST_DTYPE, SAMPLE_DTYPE
 from servo_bench.rig import load_rig
 from servo_bench.run.lock import Holder, holder_of, rig_lock_path, take
 from servo_bench.run.table import SlotTable
 from tests.daemon_process import rows_of, write_bench
 from tests.played_rig import Rig, experiment
+from tests.recording_files import FACTS
 
 
 def test_a_lock_names_its_holder_and_ends_with_it(tmp_path: Path) -> None:
@@ -316,6 +318,28 @@ def test_the_bench_file_of_the_documentation_is_one(tmp_path: Path) -> None:
         key="bench.key",
     )
     assert bench.run == RunConfig(cpu=1)
+
+
+@pytest.mark.parametrize("each", [1, 8])
+def test_a_recording_never_needs_more_room_than_was_asked_for(tmp_path: Path, each: int) -> None:
+    """Samples of noise, which no compression makes smaller."""
+    slots, rng = 2000, np.random.default_rng(1)
+    rig = load_rig("rigs/paper.toml")
+    rig = rig.model_copy(
+        update={"drive": rig.drive.model_copy(update={"samples_per_command": each})}
+    )
+    noise = {
+        kind: np.frombuffer(rng.bytes(count * kind.itemsize), kind).copy()
+        for kind, count in ((SAMPLE_DTYPE, slots), (FAST_DTYPE, slots * each))
+    }
+    for rows in noise.values():
+        rows["asked_ns"] = np.arange(len(rows)) * 1_000_000
+    with RecordingWriter(tmp_path / "a.mcap", experiment(), rig, FACTS, 125.0) as writer:
+        if each > 1:
+            writer.fast(noise[FAST_DTYPE])
+        writer.samples(noise[SAMPLE_DTYPE])
+    size = (tmp_path / "a.mcap").stat().st_size
+    assert 0.6 * recording_bytes(slots, each) < size <= recording_bytes(slots, each)
 
 
 def test_a_row_has_what_the_frames_need() -> None:

@@ -153,7 +153,7 @@ class Daemon:
         the disk would not hold it.
         """
         job = await asyncio.to_thread(self._job, asked)  # a long schedule must not hold up a stop
-        check_room(self.bench.recordings, recording_bytes(job.experiment))
+        self._check_room(job)
         position = self.queue.add(asked)
         self.condition.change()
         self.log.info("run submitted", run=asked.id, operator=asked.operator)
@@ -338,7 +338,7 @@ class Daemon:
         run = None
         try:
             job = await asyncio.to_thread(self._job, asked)
-            check_room(self.bench.recordings, recording_bytes(job.experiment))
+            self._check_room(job)
             run = await asyncio.to_thread(runs.prepare, self._runs / asked.id, asked, job)
             if (
                 self.condition.held is not None
@@ -369,6 +369,11 @@ class Daemon:
                 f"{asked.name} could not begin: {error}",
                 confirmed=self.bench.simulated or not begun,
             )
+
+    def _check_room(self, job: RunJob) -> None:
+        slots = job.experiment.schedule().slots
+        needed = recording_bytes(slots, job.rig.samples_per_command)
+        check_room(self.bench.recordings, needed)
 
     def _drop(self, asked: Waiting) -> None:
         """Take a run that cannot begin out of the queue, if the disk lets it."""

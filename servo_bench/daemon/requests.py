@@ -20,11 +20,13 @@ from servo_bench.daemon.config import Bench
 from servo_bench.daemon.problems import DISK_FULL, ApiError
 from servo_bench.errors import ConfigError
 from servo_bench.excitation.experiment import Experiment, experiment_from_table
-from servo_bench.recording.recording import SAMPLE_DTYPE
+from servo_bench.recording.recording import FAST_DTYPE, SAMPLE_DTYPE
 from servo_bench.run.limits import check_schedule
 
 SPARE_BYTES = 16 << 20
 """What must stay free beside a run's recording: notes, queue, report."""
+MESSAGE_BYTES = 64
+"""What a message takes in a file beside its content, its share of an index included."""
 LONGEST_SLUG = 40
 
 
@@ -86,9 +88,11 @@ def _change(sequence: dict[str, Any], key: str, value: float) -> None:
     sequence[key] = value
 
 
-def recording_bytes(experiment: Experiment) -> int:
-    """The largest that its recording can become."""
-    return experiment.schedule().slots * (SAMPLE_DTYPE.itemsize + 64)
+def recording_bytes(slots: int, samples_per_command: int) -> int:
+    """The largest that the recording of a run can become."""
+    sample = SAMPLE_DTYPE.itemsize + MESSAGE_BYTES
+    fast = samples_per_command * (FAST_DTYPE.itemsize + MESSAGE_BYTES)
+    return slots * (sample + (fast if samples_per_command > 1 else 0))
 
 
 def check_room(folder: Path, needed: int) -> None:

@@ -4,6 +4,7 @@ import asyncio
 import re
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,12 +19,13 @@ from servo_bench.daemon.aftermath import Standing
 from servo_bench.daemon.api import build_app
 from servo_bench.daemon.config import load_bench
 from servo_bench.daemon.core import Daemon
-from servo_bench.daemon.job import Outcome, RunResult
+from servo_bench.daemon.job import Outcome, RunJob, RunResult
 from servo_bench.daemon.log import log
 from servo_bench.daemon.machine import Event, State
 from servo_bench.daemon.queue import Waiting
 from servo_bench.daemon.sockets import listening
 from servo_bench.errors import RecordingError
+from servo_bench.excitation.experiment import Experiment, Schedule
 from servo_bench.rig import load_rig
 from tests.asgi_client import AsgiClient
 from tests.daemon_process import write_bench
@@ -36,9 +38,13 @@ def daemon_of(folder: Path, logger: Any = None, **bench: Any) -> Daemon:
     return Daemon(load_bench(write_bench(folder, **bench)), logger or log())
 
 
+def job_of(daemon: Daemon) -> RunJob:
+    return daemon._job(ASKED, daemon.bench.experiments[ASKED.experiment])
+
+
 def playing(daemon: Daemon, said: RunResult | None = None) -> ActiveRun:
     """A run that the daemon takes for playing, and what its runner says at the end."""
-    run = runs.prepare(daemon.bench.state / "runs" / ASKED.id, ASKED, daemon._job(ASKED))
+    run = runs.prepare(daemon.bench.state / "runs" / ASKED.id, ASKED, job_of(daemon))
     run.said = said
     daemon._active = run
     daemon.condition.fire(Event.STARTED)
@@ -142,7 +148,7 @@ def test_a_run_whose_end_cannot_be_found_out_is_a_fault_and_not_stuck(
 
 def left(daemon: Daemon) -> Path:
     """The folder of a run that was prepared, and no more."""
-    return runs.prepare(daemon.bench.state / "runs" / ASKED.id, ASKED, daemon._job(ASKED)).folder
+    return runs.prepare(daemon.bench.state / "runs" / ASKED.id, ASKED, job_of(daemon)).folder
 
 
 @pytest.mark.parametrize(
@@ -226,3 +232,59 @@ def test_nothing_that_it_meets_ends_the_watch(
 
     asyncio.run(look())
     assert looks[:2] == [None, "stopped by a fault of the daemon"]
+
+
+def test_a_schedule_is_laid_out_once_and_beside_the_event_loop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    daemon = daemon_of(tmp_path)
+    client = AsgiClient(build_app(daemon, daemon.bench))
+    threads: list[threading.Thread] = []
+    schedule = Experiment.schedule
+
+    def noted(plan: Experiment) -> Schedule:
+        threads.append(threading.current_thread())
+        return schedule(plan)
+
+    monkeypatch.setattr(Experiment, "schedule", noted)
+    asked = {"experiment": "short", "operator": "Ada", "confirm": True}
+    assert client.post("/api/preview", json={"experiment": "short"}).status_code == 200
+    assert client.post("/api/runs", json=asked).status_code == 202
+    assert len(threads) == 2
+    assert threading.main_thread() not in threads
+
+
+def test_what_is_too_long_for_the_rig_is_refused_without_laying_it_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    daemon = daemon_of(tmp_path)
+    client = AsgiClient(build_app(daemon, daemon.bench))
+    monkeypatch.setattr(Experiment, "schedule", None)
+    long = {"experiment": "short", "overrides": {"standstill_s": 3600.0}}
+    answer = client.post("/api/preview", json=long)
+    assert answer.status_code == 422
+    assert "the rig's limit is" in answer.json()["detail"]
+
+
+def test_one_schedule_is_laid_out_at_a_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    daemon = daemon_of(tmp_path)
+    inside: list[int] = [0]
+
+    async def beside(*_: object) -> None:
+        inside[0] += 1
+        assert inside[0] == 1
+        for _turn in range(5):
+            await asyncio.sleep(0)
+        inside[0] -= 1
+
+    async def look() -> None:
+        monkeypatch.setattr(core.asyncio, "to_thread", beside)
+        asking = [asyncio.create_task(daemon.chosen("short", {})) for _ in range(4)]
+        await asyncio.sleep(0)
+        asking[1].cancel()
+        done = await asyncio.gather(*asking, return_exceptions=True)
+        assert [one for one in done if one is not None] == [done[1]]
+
+    asyncio.run(look())

@@ -11,6 +11,7 @@ import sys
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,8 +33,10 @@ from servo_bench.daemon.live import (
 from servo_bench.daemon.notify import notify, watchdog_s
 from servo_bench.daemon.processes import bus_processes
 from servo_bench.daemon.queue import Queue, Waiting
-from servo_bench.daemon.requests import new_file, recording_bytes
+from servo_bench.daemon.requests import counted_slots, new_file, recording_bytes
 from servo_bench.errors import BenchError, BusyError, ConfigError, RecordingError
+from servo_bench.excitation.experiment import experiment_from_table
+from servo_bench.excitation.fields import first_primitive
 from servo_bench.recording.mcap_file import RecordingWriter
 from servo_bench.recording.recording import FAST_DTYPE, SAMPLE_DTYPE
 from servo_bench.rig import load_rig
@@ -318,6 +321,41 @@ def test_the_bench_file_of_the_documentation_is_one(tmp_path: Path) -> None:
         key="bench.key",
     )
     assert bench.run == RunConfig(cpu=1)
+
+
+SEQUENCES: list[dict[str, Any]] = [
+    {"polynomial": "2327", "periods": 3},
+    {"polynomial": "2327", "length": 77},
+    {"kind": "inverse-repeat", "polynomial": "2327", "periods": 2},
+    {"kind": "field", "field": 3, "degree": 5, "periods": 2},
+    {"kind": "field", "field": 5, "polynomial": first_primitive(5, 3)},
+    {
+        "kind": "multi-amplitude",
+        "polynomial": "2327",
+        "amplitudes_rad_s": [1.0, 2.0, 3.0],
+        "settling": 20,
+        "periods": 2,
+    },
+    {"kind": "from-recording", "commands_rad_s": [0.0, 1.0, 0.5]},
+]
+
+
+@pytest.mark.parametrize("sequence", SEQUENCES, ids=range(7))
+def test_slots_are_counted_as_the_schedule_has_them(sequence: dict[str, Any]) -> None:
+    table = experiment().model_dump(mode="json")
+    if sequence.get("kind") not in ("multi-amplitude", "from-recording"):
+        sequence = {"amplitude_rad_s": 1.0, **sequence}
+    for key in ("identification", "validation"):
+        plan = experiment_from_table({**table, key: sequence, "standstill_s": 0.1}, "a test")
+        assert counted_slots(plan) == plan.schedule().slots
+
+
+@pytest.mark.parametrize("polynomial", ["", "9", "-7", "x", "0", "7" * 1000])
+def test_a_sequence_that_is_none_is_counted_all_the_same(polynomial: str) -> None:
+    table = experiment().model_dump(mode="json")
+    for kind in ("m-sequence", "inverse-repeat"):
+        sequence = {"kind": kind, "polynomial": polynomial, "amplitude_rad_s": 1.0}
+        assert counted_slots(experiment_from_table({**table, "identification": sequence}, "x")) > 0
 
 
 @pytest.mark.parametrize("each", [1, 8])

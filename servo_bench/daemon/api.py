@@ -20,10 +20,9 @@ from servo_bench.daemon.guard import COOKIE, SESSION_S, Guard, Sessions, elsewhe
 from servo_bench.daemon.page_files import page_file
 from servo_bench.daemon.problems import MEDIA_TYPE, ApiError
 from servo_bench.daemon.reference import reference
-from servo_bench.daemon.requests import chosen_experiment
+from servo_bench.daemon.requests import Chosen, laid_out
 from servo_bench.daemon.viewers import Viewers
 from servo_bench.diagnosis.judging.verdict import Verdict
-from servo_bench.excitation.experiment import Experiment
 from servo_bench.recording.mcap_file import load
 
 REFRESH_EVERY_S = 2.0
@@ -96,31 +95,30 @@ async def experiments(daemon: Served) -> list[m.ExperimentView]:
     """What may be played."""
     bench = daemon.bench
     return await run_in_threadpool(
-        lambda: [_view(name, bench.texts[name], one) for name, one in bench.experiments.items()]
+        lambda: [
+            _view(name, bench.texts[name], laid_out(one)) for name, one in bench.experiments.items()
+        ]
     )
 
 
 @api.post("/preview")
 async def preview(asked: m.PreviewRequest, daemon: Served) -> m.ExperimentView:
     """What an experiment with changes would do: how far, how fast, how long. Nothing waits."""
-    changed = await run_in_threadpool(
-        chosen_experiment, daemon.bench, asked.experiment, asked.overrides
-    )
+    changed = await daemon.chosen(asked.experiment, asked.overrides.model_dump(exclude_none=True))
     name = asked.experiment.removesuffix(".toml")
     return _view(name, daemon.bench.texts[name], changed)
 
 
-def _view(file: str, text: str, experiment: Experiment) -> m.ExperimentView:
-    schedule = experiment.schedule()
+def _view(file: str, text: str, found: Chosen) -> m.ExperimentView:
     return m.ExperimentView(
-        name=experiment.name,
+        name=found.experiment.name,
         file=file,
         text=text,
-        period_s=experiment.period_s,
-        seconds=schedule.duration_s,
-        slots=schedule.slots,
-        peak_velocity_rad_s=schedule.peak_velocity_rad_s,
-        peak_travel_rad=schedule.peak_travel_rad,
+        period_s=found.experiment.period_s,
+        seconds=found.duration_s,
+        slots=found.slots,
+        peak_velocity_rad_s=found.peak_velocity_rad_s,
+        peak_travel_rad=found.peak_travel_rad,
     )
 
 

@@ -29,13 +29,16 @@ from servo_bench.daemon.problems import ApiError
 from servo_bench.daemon.processes import wait_for_bus_processes
 from servo_bench.daemon.queue import Queue, Waiting
 from servo_bench.daemon.requests import (
+    Chosen,
     Overrides,
     check_room,
-    chosen_experiment,
+    chosen,
     new_file,
     recording_bytes,
 )
+from servo_bench.daemon.turn import Turn
 from servo_bench.errors import BenchError, RecordingError
+from servo_bench.excitation.experiment import Experiment
 from servo_bench.files import validated
 from servo_bench.recording.recording import Recording
 from servo_bench.run.limits import STOP_GRACE_S
@@ -70,6 +73,7 @@ class Daemon:
         self._rig_lock: Lock | None = None
         self._tasks: set[asyncio.Task[None]] = set()
         self._closing = False
+        self._choosing = Turn()
 
     # -- life ---------------------------------------------------------------------------------
 
@@ -146,14 +150,22 @@ class Daemon:
 
     # -- what operators do --------------------------------------------------------------------
 
+    async def chosen(self, experiment: str, overrides: dict[str, Any]) -> Chosen:
+        """What is asked for, and what it would do; errors as `requests.chosen`.
+
+        A long schedule is laid out beside the event loop, which a stop needs, and one at a time.
+        """
+        async with self._choosing.taken():
+            return await asyncio.to_thread(self._chosen, experiment, overrides)
+
     async def submit(self, asked: Waiting) -> int:
         """Let a run wait; how many are before it.
 
         Raises ApiError, ConfigError, or LimitError where it cannot be played, and ApiError where
         the disk would not hold it.
         """
-        job = await asyncio.to_thread(self._job, asked)  # a long schedule must not hold up a stop
-        self._check_room(job)
+        found = await self.chosen(asked.experiment, asked.overrides)
+        self._check_room(found)
         position = self.queue.add(asked)
         self.condition.change()
         self.log.info("run submitted", run=asked.id, operator=asked.operator)
@@ -337,8 +349,9 @@ class Daemon:
         """Begin the run whose turn it is; what cannot begin is a fault, and the queue is held."""
         run = None
         try:
-            job = await asyncio.to_thread(self._job, asked)
-            self._check_room(job)
+            found = await asyncio.to_thread(self._chosen, asked.experiment, asked.overrides)
+            self._check_room(found)
+            job = self._job(asked, found.experiment)
             run = await asyncio.to_thread(runs.prepare, self._runs / asked.id, asked, job)
             if (
                 self.condition.held is not None
@@ -370,9 +383,8 @@ class Daemon:
                 confirmed=self.bench.simulated or not begun,
             )
 
-    def _check_room(self, job: RunJob) -> None:
-        slots = job.experiment.schedule().slots
-        needed = recording_bytes(slots, job.rig.samples_per_command)
+    def _check_room(self, found: Chosen) -> None:
+        needed = recording_bytes(found.slots, self.bench.rig.samples_per_command)
         check_room(self.bench.recordings, needed)
 
     def _drop(self, asked: Waiting) -> None:
@@ -382,13 +394,14 @@ class Daemon:
         except RecordingError as error:
             self.log.error("queue", error=str(error))
 
-    def _job(self, asked: Waiting) -> RunJob:
+    def _chosen(self, experiment: str, overrides: dict[str, Any]) -> Chosen:
+        return chosen(self.bench, experiment, validated(Overrides, overrides, "the request"))
+
+    def _job(self, asked: Waiting, experiment: Experiment) -> RunJob:
         config = self.bench.run
         return RunJob(
             id=asked.id,
-            experiment=chosen_experiment(
-                self.bench, asked.experiment, validated(Overrides, asked.overrides, "the request")
-            ),
+            experiment=experiment,
             rig=self.bench.rig,
             out=self.bench.recordings / asked.file,
             simulated=self.bench.simulated,

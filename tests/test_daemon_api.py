@@ -448,6 +448,21 @@ def test_a_stop_from_elsewhere_needs_the_token(tmp_path: Path) -> None:
     assert told == "stopped by Ada from 192.0.2.1"
 
 
+@pytest.mark.parametrize(
+    ("peer", "status"), [("::ffff:127.0.0.1", 200), ("::1", 200), ("::ffff:192.0.2.1", 401)]
+)
+def test_who_listens_on_ipv6_knows_this_machine_by_either_address(
+    tmp_path: Path, peer: str, status: int
+) -> None:
+    (tmp_path / "token").write_text(TOKEN)
+    network = 'host = "::"\ntoken_file = "token"\nallow_plain_http = true'
+    client = client_of(tmp_path, network, peer=peer)
+    assert client.post("/api/stop", json={"operator": "Ada"}).status_code == status
+    header = {"Authorization": f"Bearer {TOKEN}"}
+    told = client.get("/api/status", headers=header).json()["held_reason"]
+    assert (told == "stopped by Ada") == (status == 200)
+
+
 def test_the_live_view_tells_its_status_and_heeds_a_stop(client: AsgiClient) -> None:
     client.post("/api/arm", json={"operator": "me"})
 

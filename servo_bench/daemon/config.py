@@ -126,11 +126,13 @@ class Bench(Value):
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a host is this machine and nobody else."""
+    """Whether a host is this machine and nobody else; who listens on "::" sees IPv4's mapped."""
     try:
-        return ipaddress.ip_address(host).is_loopback
+        address = ipaddress.ip_address(host)
     except ValueError:
         return host == "localhost"
+    mapped = address.ipv4_mapped if isinstance(address, ipaddress.IPv6Address) else None
+    return (mapped or address).is_loopback
 
 
 def load_bench(name: str | Path) -> Bench:

@@ -4,6 +4,7 @@ import errno
 import getpass
 import json
 import os
+import select
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -15,10 +16,12 @@ import pytest
 
 from servo_bench.cli.stop import stop
 from servo_bench.daemon import stopping
-from servo_bench.daemon.sockets import listening
+from servo_bench.daemon.control import Control
+from servo_bench.daemon.sockets import connected, listening
 from servo_bench.daemon.stopping import Reach, reach_of, stop_rig
 from servo_bench.errors import WireError
 from servo_bench.run.lock import Holder, take
+from servo_bench.run.table import SlotTable
 
 STANDS = (200, b'{"stopped": true, "standing": true, "state": "idle"}')
 NOWHERE = "http://127.0.0.1:1"
@@ -138,16 +141,64 @@ def test_the_lock_of_a_daemon_that_was_killed_leads_to_no_other_bench(tmp_path: 
     assert asked == []
 
 
-def test_a_runner_is_told_itself_and_a_socket_that_nobody_serves_is_none(tmp_path: Path) -> None:
+@pytest.fixture
+def runner(tmp_path: Path) -> Iterator[Control]:
+    """A runner's end of its socket, beside one that nobody serves."""
     folders = [tmp_path / "runs" / name for name in ("dead", "living")]
     for folder in folders:
         folder.mkdir(parents=True)
     listening(folders[0]).close()
-    with listening(folders[1]) as runner:
-        assert "1 run(s) were told" in stop_rig(Reach(tmp_path), "me")
-        peer, _ = runner.accept()
-        with peer:
-            assert json.loads(peer.recv(1000)) == {"kind": "stop", "by": "me"}
+    lock = os.open(tmp_path, os.O_RDONLY)
+    with listening(folders[1]) as listener, SlotTable.create(4) as table:
+        listener.setblocking(True)
+        control = Control(listener, lock, "living")
+        control.show(table, 0.008)
+        yield control
+        for peer in control._peers:
+            peer.close()
+        control._selector.close()
+        if control._table is not None:
+            control._table.__exit__(None, None, None)
+    os.close(lock)
+
+
+def serve_one(control: Control) -> None:
+    """What the runner's thread does, until who has connected is gone again."""
+    control._accept()
+    while control._peers:
+        select.select(control._peers, [], [])
+        control._take(control._peers[0])
+
+
+def test_a_runner_has_taken_the_stop_when_it_is_said_to_be_told(
+    tmp_path: Path, runner: Control
+) -> None:
+    serving = Thread(target=serve_one, args=[runner])
+    serving.start()
+    assert "1 run(s) were told" in stop_rig(Reach(tmp_path), "me")
+    serving.join()
+    assert (runner.stop_asked, runner.asked_by) == (True, "me")
+
+
+def test_the_stop_of_who_left_without_listening_is_heeded(tmp_path: Path, runner: Control) -> None:
+    """The slot table's message lies unread in its socket when it closes that."""
+    peer = connected(tmp_path / "runs" / "living")
+    runner._accept()
+    peer.send(b'{"kind": "stop", "by": "me"}')
+    peer.close()
+    (ours,) = runner._peers
+    runner._take(ours)
+    assert runner.asked_by == "me"
+    runner._take(ours)
+    assert runner._peers == []
+
+
+def test_a_runner_that_does_not_take_the_stop_is_not_said_to_be_told(
+    tmp_path: Path, runner: Control, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stopping, "PATIENCE_S", 0.01)
+    with pytest.raises(WireError, match=r"the run living: timed out.*not known"):
+        stop_rig(Reach(tmp_path), "me")
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,9 @@ A Unix socket of whole messages (SOCK_SEQPACKET), JSON each. To a peer:
     {"kind": "status", ...}                               about ten times a second
     {"kind": "result", ...}                               the last one
 
-From a peer: {"kind": "stop", "by": "..."}. Nothing here ever waits for a peer: what a full socket
-does not take is dropped, and the next status says more.
+From a peer: {"kind": "stop", "by": "..."}; one that ends its side is let go when all that it said
+was taken. Nothing here ever waits for a peer: what a full socket does not take is dropped, and the
+next status says more.
 """
 
 import json
@@ -119,7 +120,7 @@ class Control(threading.Thread):
 
     def _take(self, peer: socket.socket) -> None:
         try:
-            data = peer.recv(MAX_MESSAGE_BYTES)
+            data = _received(peer)
         except BlockingIOError:
             return
         except OSError:
@@ -145,6 +146,15 @@ class Control(threading.Thread):
             and self._now_ns() - self._seen_ns > self._alone_for_s * NS_PER_S
         ):
             self.ask_stop("the loss of the daemon")
+
+
+def _received(peer: socket.socket) -> bytes:
+    """What a peer said. One that left with words of ours unread resets the connection, which is
+    told once and before its own last words: a stop among them must not be lost."""
+    try:
+        return peer.recv(MAX_MESSAGE_BYTES)
+    except ConnectionResetError:
+        return peer.recv(MAX_MESSAGE_BYTES)
 
 
 def _send(peer: socket.socket, data: bytes) -> None:

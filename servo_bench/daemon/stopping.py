@@ -9,7 +9,9 @@ import fcntl
 import http.client
 import json
 import os
+import socket
 import ssl
+import time
 import urllib.request
 from contextlib import suppress
 from dataclasses import dataclass
@@ -17,7 +19,7 @@ from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError, URLError
 
-from servo_bench.daemon.sockets import connected, run_folders
+from servo_bench.daemon.sockets import MAX_MESSAGE_BYTES, connected, run_folders
 from servo_bench.errors import WireError
 from servo_bench.files import find, read_toml
 from servo_bench.run.lock import holder_of
@@ -117,13 +119,25 @@ def _ask_runners(bench: Reach, operator: str) -> tuple[int, list[str]]:
     for folder in folders:
         try:
             with connected(folder) as runner:
-                runner.send(json.dumps({"kind": "stop", "by": operator}).encode())
+                _tell(runner, operator)
             told += 1
         except (FileNotFoundError, ConnectionRefusedError):
             continue  # a socket that nobody serves
         except OSError as error:
             unasked.append(f"the run {folder.name}: {_reason(error)}")
     return told, unasked
+
+
+def _tell(runner: socket.socket, operator: str) -> None:
+    """Tell a runner to stop, and wait until it has taken that: it lets go of who has no more to
+    say. TimeoutError where it does not."""
+    runner.settimeout(PATIENCE_S)
+    until_s = time.monotonic() + PATIENCE_S
+    runner.send(json.dumps({"kind": "stop", "by": operator}).encode())
+    runner.shutdown(socket.SHUT_WR)
+    while runner.recv(MAX_MESSAGE_BYTES):  # what it shows to everybody
+        if time.monotonic() > until_s:
+            raise TimeoutError(f"it has not taken the stop for {PATIENCE_S:g} s")
 
 
 def _ask_daemon(bench: Reach, operator: str) -> str | None:

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -27,6 +27,7 @@ from servo_bench.daemon.sockets import listening
 from servo_bench.errors import RecordingError
 from servo_bench.excitation.experiment import Experiment, Schedule
 from servo_bench.rig import load_rig
+from servo_bench.run.lock import Holder, take
 from tests.asgi_client import AsgiClient
 from tests.daemon_process import write_bench
 
@@ -209,6 +210,33 @@ def test_an_entry_of_another_version_is_refused_and_the_watch_goes_on(
     asyncio.run(look())
 
 
+@pytest.mark.parametrize("error", [OSError("no such socket"), ValueError("strange")])
+def test_a_runner_that_nobody_could_stop_is_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    """Whether the rig stands is not known then; on a rig that is its own."""
+    daemon = daemon_of(tmp_path, rig=load_rig("rigs/paper.toml"))
+    daemon._rig_lock = take(tmp_path / "rig.lock", Holder("the test"))
+    daemon.queue.add(ASKED)
+    daemon.condition.arm("Ada")
+    told: list[str] = []
+
+    class Runner:
+        def terminate(self) -> None:
+            told.append("end")
+
+    async def launch(run: ActiveRun, *_: object) -> None:
+        run.process = cast("Any", Runner())
+        raise error
+
+    monkeypatch.setattr(runs, "launch", launch)
+    asyncio.run(daemon._look())
+    daemon._rig_lock.release()
+    assert told == ["end"]
+    assert daemon.condition.state is State.FAULTED
+    assert not daemon.stop("Ada")
+
+
 def test_nothing_that_it_meets_ends_the_watch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -226,9 +254,11 @@ def test_nothing_that_it_meets_ends_the_watch(
 
     async def look() -> None:
         monkeypatch.setattr(daemon, "_look", strange)
-        watching = asyncio.create_task(daemon._watch())
-        await enough.wait()
-        watching.cancel()
+        tasks = [asyncio.create_task(work) for work in (daemon._watch(), enough.wait())]
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
 
     asyncio.run(look())
     assert looks[:2] == [None, "stopped by a fault of the daemon"]

@@ -15,6 +15,7 @@ import os
 import shutil
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -68,6 +69,14 @@ class ActiveRun:
         self.stop_by = self.stop_by or by
         if self.link is not None:
             self.link.ask_stop(self.stop_by)
+
+    def end_runner(self) -> bool:
+        """Tell a runner that nobody will watch to stop the rig; False where none was started."""
+        if self.process is None:
+            return False
+        with suppress(ProcessLookupError):  # it has ended
+            self.process.terminate()
+        return True
 
     @property
     def runner_pid(self) -> int | None:
@@ -138,7 +147,10 @@ def prepare(folder: Path, asked: Waiting, job: RunJob) -> ActiveRun:
 
 
 async def launch(run: ActiveRun, lock_descriptor: int, gone: Callable[[], None]) -> None:
-    """Start the runner and connect to it; OSError where the system has no process to give."""
+    """Start the runner and connect to it; OSError where the system has no process to give.
+
+    Nobody could stop what a runner plays to which there is no connection: `end_runner` then.
+    """
     log = os.open(run.folder / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
     try:
         with listening(run.folder) as listener:
@@ -151,11 +163,7 @@ async def launch(run: ActiveRun, lock_descriptor: int, gone: Callable[[], None])
                 pass_fds=(listener.fileno(), lock_descriptor),
                 start_new_session=True,
             )
-            try:
-                attach(run, gone)
-            except OSError:
-                run.process.terminate()  # nobody could stop what it plays
-                raise
+            attach(run, gone)
     finally:
         os.close(log)
 

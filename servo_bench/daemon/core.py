@@ -371,13 +371,13 @@ class Daemon:
             )
             self.log.info("run started", run=asked.id, operator=asked.operator)
         except Exception as error:  # an entry of another version may be anything
+            begun = run is not None and run.end_runner()
             if not isinstance(error, BenchError | OSError):
                 self.log.error("unexpected", exc_info=error)
             self._active = None
             runs.discard(self._runs / asked.id)
             self.condition.fire(Event.STARTED)
             self._drop(asked)
-            begun = run is not None and run.process is not None  # it was told to end
             self.condition.fail(
                 f"{asked.name} could not begin: {error}",
                 confirmed=self.bench.simulated or not begun,

@@ -5,6 +5,7 @@ logged at 1 kHz, and the angle has noise.
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -93,6 +94,13 @@ def test_an_effort_that_never_changes_is_told() -> None:
     verdict = conclude([dead]).verdict
     assert verdict.verdict == "unknown"
     assert "never change" in verdict.sentence
+
+
+def test_what_nothing_explains_is_to_be_played_once_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    lost = Verdict(verdict="unknown", sentence="Something is missing.")
+    judged = SimpleNamespace(verdict=lost, shown=None)
+    monkeypatch.setattr("servo_bench.diagnosis.concluding.judge_open", lambda *_, **__: judged)
+    assert "once more as it is" in conclude([told_at(1e-3, 3)]).verdict.next_run
 
 
 @pytest.mark.long

@@ -16,6 +16,7 @@ from servo_bench.diagnosis.judging.excitations import check_apart, same_commands
 from servo_bench.diagnosis.judging.judgement import verdict_of
 from servo_bench.diagnosis.judging.picture import picture
 from servo_bench.diagnosis.judging.undecided import (
+    REPEAT,
     check_alike,
     open_questions,
     undecided,
@@ -76,7 +77,7 @@ def conclude(
     try:
         if model is None:
             judged = judge_open(recordings, held_out=held_out, without=without, only=only)
-            return Concluded(_open_still(judged.verdict, same), None, judged.shown)
+            return Concluded(_open_still(_sent_on(judged.verdict), same), None, judged.shown)
         finding = investigate(
             recordings, model=model, held_out=held_out, without=without, only=only, report=report
         )
@@ -97,6 +98,13 @@ def _told(finding: Finding, without: Collection[str], only: Collection[str]) -> 
         "next_run": what_next(verdict, first),
     }
     return verdict.model_copy(update=more)
+
+
+def _sent_on(verdict: Verdict) -> Verdict:
+    """On data from elsewhere, which no excitation of ours made: the unexplained once more."""
+    if verdict.next_run or verdict.verdict != "unknown":
+        return verdict
+    return verdict.model_copy(update={"next_run": REPEAT})
 
 
 def _asked(without: Collection[str], only: Collection[str]) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from drivers.canopen.profile import Gain, Gains, Shaping, generic
 from servo_bench.cli.app import app
 from servo_bench.excitation.experiment import Experiment, MSequence, RandomBinary
 from servo_bench.excitation.prediction import predict
+from servo_bench.excitation.sequences import RandomUniform
 from servo_bench.rig import RigConfig, load_rig, rig_from_table
 from servo_bench.run import preflight_read
 from servo_bench.run.finding import Finding, Level
@@ -256,3 +257,12 @@ def test_a_load_that_is_thrown_is_faster_than_its_motor(rig: RigConfig) -> None:
     found = by_subject(preflight(experiment(), tight))
     assert found["motor velocity"].level is Level.OK
     assert found["load velocity"].level is Level.STOP
+
+
+def test_levels_drawn_at_random_are_not_judged_by_the_least_of_them(rig: RigConfig) -> None:
+    validation = RandomUniform(
+        kind="random-uniform", seed=11, amplitude_rad_s=2.0, length=400, bias_rad_s=0.0
+    )
+    found = by_subject(preflight(experiment().model_copy(update={"validation": validation}), rig))
+    (quantum,) = (it for it in found.values() if "one digit" in it.text)
+    assert quantum.level is Level.OK

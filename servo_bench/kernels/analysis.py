@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 
 ENOUGH_STANDSTILL = 16
 """Increments from which the noise at standstill is told."""
+LEAST_OF_STEPS = 1e-9
+"""Of the largest step of an angle: what is less is rounding of the numbers themselves."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,11 +252,18 @@ def _noise_rad_s(recording: Recording, response: Response) -> float:
     slots = response.slots_of(Phase.STANDSTILL)
     still = response.velocity_rad_s[slots.start : max(slots.stop - 1, 0)]
     measured = float(still.std()) if still.size >= ENOUGH_STANDSTILL else float("nan")
-    encoder = recording.rig.encoder if recording.rig is not None else None
-    if encoder is None:
-        return measured
-    step_rad = 2.0 * np.pi / encoder.counts_per_revolution
-    return float(np.fmax(measured, step_rad / (np.sqrt(6.0) * response.period_s)))
+    return float(np.fmax(measured, _step_rad(recording) / (np.sqrt(6.0) * response.period_s)))
+
+
+def _step_rad(recording: Recording) -> float:
+    """The load encoder's, by its rig's file; of data that have none the least that it moved."""
+    counts = recording.rig.load_counts_per_revolution if recording.rig is not None else None
+    if counts is not None:
+        return 2.0 * np.pi / counts
+    steps = np.abs(np.diff(np.asarray(recording["load_angle_rad"], np.float64)))
+    steps = steps[np.isfinite(steps)]
+    moved = steps[steps > LEAST_OF_STEPS * steps.max(initial=0.0)]
+    return float(moved.min(initial=np.inf)) if moved.size else 0.0
 
 
 def _flags(

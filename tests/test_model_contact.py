@@ -1,15 +1,12 @@
 """The motion of a load between two faces: one step is its two halves, and faces never pull."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from sim_rig.model import Model
 from sim_rig.model.contact import meet, piece_of, sprung, swung
-from sim_rig.settings import Nominal
 
 MASSES_PER_KG_M2 = 1.0 / 5e-6 + 1.0 / 2.45e-4
 STIFFNESS_NM_PER_RAD, GAP_RAD = 500.0, 0.0262
@@ -95,17 +92,3 @@ def test_what_a_slope_takes_is_of_what_damping_leaves(speed: float, slope: float
     alone, both = (played(face_rad, speed, 0.0, 1e-4, 5e-3, slope=one)[1] for one in (0.0, slope))
     assert -speed < both < 0.0
     assert both == pytest.approx(alone / (1.0 + slope * abs(alone)), rel=1e-9)
-
-
-@pytest.mark.parametrize("longest_step_s", [5e-5, 2e-4])
-def test_a_light_load_that_its_friction_holds_does_not_tremble(longest_step_s: float) -> None:
-    """Slowed by 10 000 rad/s2: steps of 50 us alone threw it by a millirad."""
-    light = Model(Nominal(0.03606, 2.5e-4, 0.97, 69.0, 0.026), longest_step_s=longest_step_s)
-    light = light.with_effect(
-        "contact", compliance_rad_per_nm=1.5e-2, damping_s=1e-4, load_inertia_kg_m2=3e-7
-    )
-    light = light.with_effect("load_friction", torque_nm=3e-3)
-    levels = np.random.default_rng(4).choice([-5.0, 5.0], 200)
-    exact = replace(light, longest_step_s=2e-6).simulate(levels, 0.008)
-    done = light.simulate(levels, 0.008)
-    assert np.abs(done.load_angle_rad - exact.load_angle_rad).max() < 2e-4

@@ -7,7 +7,6 @@ from numpy.typing import ArrayLike
 
 from sim_rig.errors import SimulationError
 from sim_rig.model.ahead import cut_ahead
-from sim_rig.model.crawl import unthrown_s
 from sim_rig.model.engine import Engine, engine
 from sim_rig.model.skeleton import CLOSED
 from sim_rig.model.state import COLUMNS, Array, ModelState, Simulated, simulated
@@ -109,12 +108,10 @@ def rig_array(model: "Model") -> Array:
 
 
 def steps_of(model: "Model") -> float:
-    """The longest step: the model's, what the propagator's series is exact for, or what friction
-    still stops in."""
+    """The longest step: the model's, or what the propagator's series is exact for."""
     nominal = model.nominal
     damping = 2.0 * nominal.damping_ratio * nominal.natural_frequency_rad_s
-    exact_s = 0.5 / (damping + nominal.natural_frequency_rad_s)
-    return min(model.longest_step_s, exact_s, unthrown_s(model))
+    return min(model.longest_step_s, 0.5 / (damping + nominal.natural_frequency_rad_s))
 
 
 def flat_parameters(model: "Model", machine: Engine) -> Array:

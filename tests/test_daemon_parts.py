@@ -33,8 +33,9 @@ from servo_bench.daemon.live import (
 from servo_bench.daemon.notify import notify, watchdog_s
 from servo_bench.daemon.processes import bus_processes
 from servo_bench.daemon.queue import Queue, Waiting
-from servo_bench.daemon.requests import counted_slots, new_file, recording_bytes
+from servo_bench.daemon.requests import new_file, recording_bytes
 from servo_bench.errors import BenchError, BusyError, ConfigError, RecordingError
+from servo_bench.excitation.counting import counted_slots
 from servo_bench.excitation.experiment import experiment_from_table
 from servo_bench.excitation.fields import first_primitive
 from servo_bench.recording.mcap_file import RecordingWriter

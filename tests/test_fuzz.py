@@ -10,12 +10,13 @@ from tests.fuzz_targets import TARGETS, examples
 COUNT = 2_500
 
 
+@pytest.mark.parametrize("count", [COUNT, pytest.param(4 * COUNT, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", TARGETS)
-def test_only_our_errors_come_out(name: str) -> None:
+def test_only_our_errors_come_out(name: str, count: int) -> None:
     target = TARGETS[name]
 
     @settings(
-        max_examples=examples(target, COUNT),
+        max_examples=examples(target, count),
         deadline=None,
         database=None,
         phases=[Phase.generate, Phase.shrink],

@@ -51,3 +51,10 @@ def test_effects_beside_a_plant_of_ones_own_are_refused() -> None:
     table["simulated"] = own
     with pytest.raises((BenchError, RigSettingsError), match="effects are given for plant"):
         RigConfig.model_validate(table).simulation_settings()
+
+
+def test_a_software_rig_has_no_filter_in_front_of_its_torque() -> None:
+    table = PAPER.model_dump()
+    table["drive"] |= {"torque_filter_s": 4e-3}
+    simulated = RigConfig.model_validate(table).as_simulated(port=7)
+    assert (simulated.drive.torque_filter_s, simulated.bus["port"]) == (0.0, 7)

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from servo_bench.cli.output import check_outputs, write_json
-from servo_bench.excitation.amplitude import advise_amplitude
+from servo_bench.excitation.amplitude import MARGIN, advise_amplitude
 from servo_bench.excitation.experiment import Experiment
 from servo_bench.excitation.msequence import m_sequence
 from servo_bench.excitation.search import SequenceSearch
@@ -19,7 +19,7 @@ from servo_bench.excitation.search import search as search_polynomials
 from servo_bench.kernels.slices import Slice, described, sequence_slices
 from servo_bench.rig import load_rig
 
-COLUMNS, MARGIN = 64, 0.95
+COLUMNS = 64
 SHADES = " .:+*#"
 """From no element in a column of shifts to the most that any column holds."""
 

@@ -18,27 +18,14 @@ from pydantic import BaseModel, ConfigDict, Field
 from servo_bench.catalogue import run_id
 from servo_bench.daemon.config import Bench
 from servo_bench.daemon.problems import DISK_FULL, ApiError
-from servo_bench.errors import ConfigError, LimitError
+from servo_bench.errors import ConfigError
+from servo_bench.excitation.counting import counted_slots
 from servo_bench.excitation.experiment import Experiment, Schedule, experiment_from_table
-from servo_bench.excitation.sequences import (
-    MAX_CHIPS,
-    FieldSequence,
-    FromRecording,
-    InverseRepeat,
-    MSequence,
-    MultiAmplitude,
-    RandomBinary,
-    RandomUniform,
-    Sequence,
-)
 from servo_bench.recording.recording import FAST_DTYPE, SAMPLE_DTYPE
-from servo_bench.rig import Limits
-from servo_bench.run.limits import check_schedule
+from servo_bench.run.limits import check_run_time, check_schedule
 
 SPARE_BYTES = 16 << 20
 """What must stay free beside a run's recording: notes, queue, report."""
-LARGEST_DEGREE = 64
-"""Of what is counted: no sequence that can be played comes near."""
 MESSAGE_BYTES = 64
 """What a message takes in a file beside its content, its share of an index included."""
 LONGEST_SLUG = 40
@@ -99,57 +86,13 @@ def chosen(bench: Bench, name: str, overrides: Overrides) -> Chosen:
     from servo_bench.run.session import check_memory  # noqa: PLC0415 - does not wait for them
 
     changed = experiment_from_table(_table(experiment, overrides), "the request")
+    # before its schedule takes the memory
     check_run_time(counted_slots(changed) * changed.period_s, bench.rig.limits)
     schedule = changed.schedule()
     check_memory(changed)
     check_schedule(schedule, bench.rig.limits)
     axis_settings(bench.rig, changed.period_s)
     return _chosen(changed, schedule)
-
-
-def check_run_time(duration_s: float, limits: Limits) -> None:
-    """Raise LimitError for what is too long for the rig, before its schedule takes the memory."""
-    if duration_s > limits.run_time_s:
-        raise LimitError(
-            f"the run time would reach {duration_s:.6g} s, the rig's limit is "
-            f"{limits.run_time_s:.6g} s. Play fewer periods, or raise limits.run_time_s. Nothing "
-            "was enabled."
-        )
-
-
-def counted_slots(experiment: Experiment) -> int:
-    """How many slots an experiment has, without laying them out; fewer where its sequences are
-    none, which their schedule says in words."""
-    sequences = (experiment.identification, experiment.validation)
-    standstill = round(min(experiment.standstill_s / experiment.period_s, MAX_CHIPS + 1))
-    return standstill + experiment.lead_in + sum(_chips(sequence) for sequence in sequences)
-
-
-def _chips(sequence: Sequence) -> int:
-    match sequence:
-        case FromRecording():
-            return len(sequence.commands_rad_s)
-        case RandomBinary() | RandomUniform() | MSequence(length=int()):
-            return sequence.length or 0
-        case FieldSequence():
-            degree = sequence.degree if not sequence.polynomial else len(sequence.polynomial) - 1
-            return int(sequence.field ** min(degree or 0, LARGEST_DEGREE) - 1) * sequence.periods
-        case MultiAmplitude():
-            whole = sequence.settling + _period(sequence.polynomial) * sequence.periods
-            return whole * len(sequence.amplitudes_rad_s)
-        case InverseRepeat():
-            return 2 * _period(sequence.polynomial) * sequence.periods
-        case _:
-            return _period(sequence.polynomial) * sequence.periods
-
-
-def _period(polynomial: str) -> int:
-    """Of a binary M-sequence, by its characteristic polynomial in octal."""
-    try:
-        degree = int(polynomial, 8).bit_length() - 1
-    except ValueError:
-        return 0
-    return int((1 << min(max(degree, 0), LARGEST_DEGREE)) - 1)
 
 
 def _table(experiment: Experiment, overrides: Overrides) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from typing import Literal
 import numpy as np
 
 from servo_bench.errors import ConfigError
+from servo_bench.excitation.amplitude import MARGIN
 from servo_bench.excitation.enumeration import primitive_polynomials
 from servo_bench.excitation.experiment import Experiment, Schedule
 from servo_bench.excitation.prediction import predict
@@ -37,9 +38,9 @@ from servo_bench.rig import Limits, RigConfig
 
 Levels = Literal["five levels", "three amplitudes"]
 
-MARGIN, ROOM = 0.95, 0.85
-"""Of every limit: what commands may use, and what the model's motion may, because the rig that is
-looked at is not quite its model."""
+ROOM = 0.85
+"""Of every limit, that the model's motion may use, because the rig that is looked at is not quite
+its model; commands may use `MARGIN`."""
 SHRINKINGS, SMALLEST_RAD_S = 4, 0.01
 CROSSINGS = 2.0
 """Gaps that the largest command crosses in a period."""

@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from servo_bench.errors import ConfigError
 
 LEAST_EXCURSION, LARGEST_EXCURSION = 0.5, 1.7
+MARGIN = 0.95
+"""Of a rig's limit, that what is recommended may use."""
 MEASURED_AT = 0.5
 """wn dt of the table."""
 

@@ -24,34 +24,35 @@ STOP_GRACE_S = 5.0
 
 def check_schedule(schedule: Schedule, limits: Limits) -> None:
     """Raise LimitError where playing the schedule must leave the limits."""
-    for what, got, allowed, unit, remedy in (
-        (
-            "the commanded velocity",
-            math.degrees(schedule.peak_velocity_rad_s),
-            math.degrees(limits.velocity_rad_s),
-            "deg/s",
-            "Lower the amplitude, or raise limits.velocity_deg_s if the rig allows it.",
-        ),
-        (
-            "the commanded travel",
-            math.degrees(schedule.peak_travel_rad),
-            math.degrees(limits.travel_rad),
-            "deg",
-            "Lower the amplitude or the period, or raise limits.travel_deg.",
-        ),
-        (
-            "the run time",
-            schedule.duration_s,
-            limits.run_time_s,
-            "s",
-            "Play fewer periods, or raise limits.run_time_s.",
-        ),
-    ):
-        if got > allowed:
-            raise LimitError(
-                f"{what} would reach {got:.6g} {unit}, the rig's limit is {allowed:.6g} {unit}. "
-                f"{remedy} Nothing was enabled."
-            )
+    _within(
+        "the commanded velocity",
+        math.degrees(schedule.peak_velocity_rad_s),
+        math.degrees(limits.velocity_rad_s),
+        "deg/s",
+        remedy="Lower the amplitude, or raise limits.velocity_deg_s if the rig allows it.",
+    )
+    _within(
+        "the commanded travel",
+        math.degrees(schedule.peak_travel_rad),
+        math.degrees(limits.travel_rad),
+        "deg",
+        remedy="Lower the amplitude or the period, or raise limits.travel_deg.",
+    )
+    check_run_time(schedule.duration_s, limits)
+
+
+def check_run_time(duration_s: float, limits: Limits) -> None:
+    """Raise LimitError for what is too long for the rig."""
+    remedy = "Play fewer periods, or raise limits.run_time_s."
+    _within("the run time", duration_s, limits.run_time_s, "s", remedy=remedy)
+
+
+def _within(what: str, got: float, allowed: float, unit: str, *, remedy: str) -> None:
+    if got > allowed:
+        raise LimitError(
+            f"{what} would reach {got:.6g} {unit}, the rig's limit is {allowed:.6g} {unit}. "
+            f"{remedy} Nothing was enabled."
+        )
 
 
 def blind_s(limits: Limits, period_s: float) -> float:

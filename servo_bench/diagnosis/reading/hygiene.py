@@ -83,12 +83,12 @@ def without_spoilt_words(recording: Recording, gap_rad: float) -> Recording:
     return replace(recording, channels=channels)
 
 
-def spoilt_words(recording: Recording, gap_rad: float) -> int:
-    """How many angles `without_spoilt_words` takes for such."""
+def spoilt_words(recording: Recording, gap_rad: float, names: Sequence[str] = ANGLES) -> int:
+    """How many of these angles `without_spoilt_words` takes for such."""
     kept = without_spoilt_words(recording, gap_rad)
-    there = [name for name in ANGLES if name in recording]
-    missing = [int(np.isnan(one[name]).sum()) for one in (kept, recording) for name in there]
-    return sum(missing[: len(there)]) - sum(missing[len(there) :])
+    there = [name for name in names if name in recording]
+    gone = [np.isfinite(recording[name]) & np.isnan(kept[name]) for name in there]
+    return sum(int(np.count_nonzero(one)) for one in gone)
 
 
 def _there_and_back(values: Array, beyond: Array) -> Mask:

@@ -390,7 +390,4 @@ def _wild(came: Recording, whole: Evidence, model: Model, scales: Scales) -> int
     kept = without_spoilt_words(came, scales.gap_rad)
     if 1.5 * came.period_s < seen.source.rows.period_s:
         seen = compare(kept, model, seen.block, scales=SCALES)
-    wild = wild_samples(seen, model, scales.gap_rad)
-    if LOAD in came:
-        wild += int(np.count_nonzero(np.isfinite(came[LOAD]) & np.isnan(kept[LOAD])))
-    return wild
+    return wild_samples(seen, model, scales.gap_rad) + spoilt_words(came, scales.gap_rad, [LOAD])

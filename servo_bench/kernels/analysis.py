@@ -1,5 +1,6 @@
 """From a recording to its Volterra kernels and what they predict on commands they never saw."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -247,19 +248,24 @@ def _integrated(start: float, velocity: Array, period_s: float) -> Array:
 def _noise_rad_s(recording: Recording, response: Response) -> float:
     """At standstill, or by the encoder's steps: a still encoder's counts hide their size.
 
-    Rounding to steps q is noise of variance q^2/12 in each angle, q^2/6 in an increment.
+    Rounding to steps q is noise of variance q^2/12 in each angle, q^2/6 in an increment. NaN where
+    nothing stood still and no rig's file tells the steps: the least that an angle moved bounds
+    them, but is no measure of a noise.
     """
     slots = response.slots_of(Phase.STANDSTILL)
     still = response.velocity_rad_s[slots.start : max(slots.stop - 1, 0)]
     measured = float(still.std()) if still.size >= ENOUGH_STANDSTILL else float("nan")
-    return float(np.fmax(measured, _step_rad(recording) / (np.sqrt(6.0) * response.period_s)))
-
-
-def _step_rad(recording: Recording) -> float:
-    """The load encoder's, by its rig's file; of data that have none the least that it moved."""
     counts = recording.rig.load_counts_per_revolution if recording.rig is not None else None
     if counts is not None:
-        return 2.0 * np.pi / counts
+        return float(np.fmax(measured, _rounding_rad_s(2.0 * np.pi / counts, response)))
+    return float(np.maximum(measured, _rounding_rad_s(_least_moved_rad(recording), response)))
+
+
+def _rounding_rad_s(step_rad: float, response: Response) -> float:
+    return step_rad / (math.sqrt(6.0) * response.period_s)
+
+
+def _least_moved_rad(recording: Recording) -> float:
     steps = np.abs(np.diff(np.asarray(recording["load_angle_rad"], np.float64)))
     steps = steps[np.isfinite(steps)]
     moved = steps[steps > LEAST_OF_STEPS * steps.max(initial=0.0)]

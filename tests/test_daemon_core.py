@@ -13,7 +13,7 @@ from typing import Any, cast
 import pytest
 
 from servo_bench.daemon import active as runs
-from servo_bench.daemon import core
+from servo_bench.daemon import core, ending
 from servo_bench.daemon.active import ActiveRun
 from servo_bench.daemon.aftermath import Standing
 from servo_bench.daemon.api import build_app
@@ -70,7 +70,7 @@ def test_the_rig_is_said_to_stand_after_a_confirmed_end_only(  # noqa: PLR0917
     standing: bool,
 ) -> None:
     daemon = daemon_of(tmp_path, rig=load_rig("rigs/paper.toml"))
-    monkeypatch.setattr(core, "_standing", lambda _: says)
+    monkeypatch.setattr(ending, "_standing", lambda _: says)
     run = playing(daemon, RunResult(outcome, "it ended.", error))
     assert not daemon.stop("Ada")
     asyncio.run(daemon._finish(run))

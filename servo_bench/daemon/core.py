@@ -8,10 +8,10 @@ anything goes wrong: the rig is stopped, the queue is held, only then is anythin
 import asyncio
 import json
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from servo_bench.catalogue import Catalogue
 from servo_bench.catalogue.beside import Notes, write_notes
@@ -20,6 +20,7 @@ from servo_bench.daemon import active as runs
 from servo_bench.daemon.active import ActiveRun
 from servo_bench.daemon.condition import Condition
 from servo_bench.daemon.config import Bench
+from servo_bench.daemon.ending import UNKNOWN, End, end_of, stop_takes_s
 from servo_bench.daemon.job import RunJob, RunResult
 from servo_bench.daemon.jobs import Job, Jobs, Kind
 from servo_bench.daemon.live import ReplaySource, Source, TableSource
@@ -41,17 +42,12 @@ from servo_bench.errors import BenchError, RecordingError
 from servo_bench.excitation.experiment import Experiment
 from servo_bench.files import validated
 from servo_bench.recording.recording import Recording
-from servo_bench.run.limits import STOP_GRACE_S
 from servo_bench.run.lock import Holder, Lock, rig_lock_path, take
-
-if TYPE_CHECKING:
-    from servo_bench.daemon.aftermath import Standing
 
 WATCH_EVERY_S = 0.05
 BUS_SILENT_S = 0.8
 """A bus process that has played no slot for so long is taken for gone."""
 ARMING_DIGITS = 16
-UNKNOWN_END = RunResult("faulted", "how the run ended could not be found out: look at the rig.")
 
 
 class Daemon:
@@ -105,7 +101,7 @@ class Daemon:
         if run is not None:
             self.stop("the daemon's shutdown")
             try:
-                await asyncio.wait_for(run.ended.wait(), self._stop_takes_s(run))
+                await asyncio.wait_for(run.ended.wait(), stop_takes_s(run))
             except TimeoutError:
                 self.log.error("the run did not end", run=run.asked.id, pid=run.runner_pid)
         await self.jobs.close()
@@ -137,7 +133,7 @@ class Daemon:
         """Close a run whose runner died while no daemon watched, or has left its result."""
         pid = left.runner_pid
         if pid is not None:
-            await asyncio.to_thread(wait_for_bus_processes, pid, self._stop_takes_s(left))
+            await asyncio.to_thread(wait_for_bus_processes, pid, stop_takes_s(left))
         result = left.result() or runs.without_a_word(left)
         self.log.warning("run left over", run=left.asked.id, outcome=result.outcome)
         self.condition.tell(left.asked.id, result.sentence)
@@ -413,50 +409,21 @@ class Daemon:
 
     async def _finish(self, run: ActiveRun) -> None:
         """The runner is gone: find out how the run ended, and go on or be held."""
-        result, confirmed = UNKNOWN_END, False
+        end = End(UNKNOWN)
         try:
-            result, confirmed = await self._end_of(run)
+            end = await end_of(run, self.condition)
+            if end.asked:
+                self.reachable = False
             self._let_go_of(run)
-            self.condition.tell(run.asked.id, result.sentence)
-            self.log.info("run ended", run=run.asked.id, **asdict(result))
+            self.condition.tell(run.asked.id, end.result.sentence)
+            self.log.info("run ended", run=run.asked.id, **asdict(end.result))
             await self.refresh()
-            if not self._to_be_analysed(run, result):
+            if not self._to_be_analysed(run, end.result):
                 runs.discard(run.folder)
         except Exception as error:  # whatever it is, the run is over
             self.log.error("unexpected", exc_info=error)
-        await self._conclude(run, result, confirmed=confirmed)
+        await self._conclude(run, end)
         run.ended.set()
-
-    async def _end_of(self, run: ActiveRun) -> tuple[RunResult, bool]:
-        """How the run ended, and whether the rig is known to stand; no process of it lives then."""
-        result = run.result()
-        pid = run.runner_pid
-        if result is None and pid is not None:
-            self.condition.hold("the run's process died")
-            self.condition.fire(Event.STOP_ASKED)
-            await asyncio.to_thread(wait_for_bus_processes, pid, self._stop_takes_s(run))
-            result = run.result()
-        result, confirmed = result or runs.without_a_word(run), True
-        if result.outcome in ("faulted", "cut"):
-            run.silent = True
-            self.condition.hold("a fault")
-            self.condition.fire(Event.STOP_ASKED)
-            result, confirmed = await self._with_standing(run, result)
-        if run.process is not None:
-            await run.process.wait()
-        return result, confirmed
-
-    async def _with_standing(self, run: ActiveRun, result: RunResult) -> tuple[RunResult, bool]:
-        """The result with what the drive itself says after a run that ended badly, and whether
-        that is that it stands."""
-        if run.job.simulated:
-            return result, True  # its rig has ended with it
-        if result.error not in ("", "WireError"):
-            return result, False
-        self.reachable = False
-        said = await asyncio.to_thread(_standing, run.job)
-        words = f"{result.sentence} {said.sentence}".strip()
-        return replace(result, sentence=words), said.confirmed
 
     def _let_go_of(self, run: ActiveRun) -> None:
         """Close the link; the rig's lock that came with it stays ours."""
@@ -469,10 +436,10 @@ class Daemon:
         run.link.close()
         run.link = None
 
-    async def _conclude(self, run: ActiveRun, result: RunResult, *, confirmed: bool) -> None:
-        self._active = None
+    async def _conclude(self, run: ActiveRun, end: End) -> None:
+        self._active, result = None, end.result
         if result.outcome in ("faulted", "cut"):
-            self.condition.fail(result.sentence, confirmed=confirmed)
+            self.condition.fail(result.sentence, confirmed=end.confirmed)
             return
         if result.outcome != "complete":
             self.condition.hold(result.sentence)
@@ -524,11 +491,6 @@ class Daemon:
             return self.bench.state / "rig.lock"  # each run has a bus of its own
         return rig_lock_path(self.bench.rig.bus)
 
-    @staticmethod
-    def _stop_takes_s(run: ActiveRun) -> float:
-        drive = run.job.rig.drive
-        return 2.0 * STOP_GRACE_S + drive.enable_timeout_s + drive.stop_timeout_s
-
     def _spawn(self, work: Any) -> None:
         task = asyncio.create_task(work)
         self._tasks.add(task)
@@ -540,10 +502,3 @@ class Daemon:
         if not task.cancelled() and (error := task.exception()) is not None:
             self.log.error("unexpected", exc_info=error)
             self.stop("a fault of the daemon")
-
-
-def _standing(job: RunJob) -> "Standing":
-    """What the drive says about itself after a run; takes seconds."""
-    from servo_bench.daemon.aftermath import ask_standing  # noqa: PLC0415 - all drivers
-
-    return ask_standing(job.rig, job.experiment.period_s)

@@ -1,16 +1,15 @@
 """Kernels as a report draws them: g1 with its band, sections of g2 and g3, energies by order.
 
-Two sources, one value: `measured_figures` reads plain correlation, `posterior_figures` the
-regularised posterior. Energies are shares of the response's variance on random binary input:
+They are read off the regularised posterior. Energies are shares of the response's variance on
+random binary input:
 
     linear   order 1           even   order 2 (and 4, 6)         odd   order 3 (5, 7)
-    noise    what the standard error between periods says, or the posterior's noise
+    noise    the posterior's
 
 A play alone is odd; friction that differs between directions, or a bias, is even.
 """
 
 from dataclasses import dataclass
-from math import comb
 
 import numpy as np
 
@@ -18,7 +17,6 @@ from servo_bench.estimators.data import Array
 from servo_bench.estimators.elementary import elementary_sums
 from servo_bench.estimators.regularised import MultilinearPosterior
 from servo_bench.kernels.shifts import lag_sets
-from servo_bench.kernels.volterra import Kernels
 
 BAND_DEVIATIONS = 1.96
 """A band of 95 %."""
@@ -59,40 +57,6 @@ class KernelFigures:
         """g3(., ., lag), shape (M, M)."""
         section: Array = self.g3[:, :, lag]
         return section
-
-
-def measured_figures(kernels: Kernels, response_variance: float) -> KernelFigures:
-    """Of plain correlation. The band is that of the scatter of the empty shifts.
-
-    What the scatter alone puts into an order's energy (elements x scatter^2) is taken off.
-    """
-    shares = [
-        100.0
-        * max(float(energy) - comb(kernels.memory, order) * kernels.scatter**2, 0.0)
-        / response_variance
-        for order, energy in enumerate(kernels.energies)
-    ]
-    width = BAND_DEVIATIONS * kernels.scatter / kernels.amplitude
-    sections = [kernels.g3_section(lag) for lag in range(kernels.memory)]
-    return KernelFigures(
-        lags_s=kernels.lags_s,
-        g1=kernels.g1,
-        g1_low=kernels.g1 - width,
-        g1_high=kernels.g1 + width,
-        g2=kernels.g2_matrix,
-        g3=np.stack(sections, axis=2),
-        energies=OrderEnergies(
-            shares[1], shares[2], shares[3], _noise_percent(kernels, response_variance)
-        ),
-    )
-
-
-def _noise_percent(kernels: Kernels, response_variance: float) -> float:
-    """Of one sample averaged over the periods, from the standard error of a coefficient."""
-    if kernels.standard_error is None:
-        return float("nan")
-    chips = (1 << (int(kernels.polynomial, 8).bit_length() - 1)) - 1
-    return 100.0 * kernels.standard_error**2 * chips / response_variance
 
 
 def posterior_figures(

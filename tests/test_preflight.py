@@ -101,6 +101,13 @@ def test_a_memory_that_a_run_would_refuse_is_refused_before(rig: RigConfig) -> N
     assert "collide beyond" in found["memory"].text
 
 
+def test_an_interface_that_no_bus_has_is_said_before_a_run(rig: RigConfig) -> None:
+    found = by_subject(preflight(experiment(), rig.model_copy(update={"bus": {"interface": "sc"}})))
+    assert found["bus"].level is Level.STOP
+    assert "python-can does not know" in found["bus"].text
+    assert "bus" not in by_subject(preflight(experiment(), rig))
+
+
 def test_a_temperature_that_nobody_can_ask_is_no_limit(rig: RigConfig, tmp_path: Path) -> None:
     profile = tmp_path / "hot.toml"
     shipped = Path(drivers.__file__).parent / "profiles/canopen/generic.toml"

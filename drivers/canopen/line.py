@@ -40,6 +40,17 @@ _HELP = {
 }
 
 
+def known_interface(options: BusOptions) -> str:
+    """The bus's interface; SettingsError for one that python-can does not know."""
+    interface = options.get("interface")
+    if interface not in BACKENDS:
+        raise SettingsError(
+            f"bus.interface is {interface!r}, which python-can does not know. Choose one of "
+            f"{', '.join(sorted(BACKENDS))}."
+        )
+    return str(interface)
+
+
 def open_bus(options: BusOptions) -> can.BusABC:
     """Open the bus that the options describe; only they count, no configuration file.
 
@@ -47,13 +58,8 @@ def open_bus(options: BusOptions) -> can.BusABC:
     where it knows but nothing is there.
     """
     keywords: dict[str, Any] = dict(options)
-    interface = options.get("interface")
     where = ", ".join(f"{key} = {value}" for key, value in options.items())
-    if interface not in BACKENDS:
-        raise SettingsError(
-            f"bus.interface is {interface!r}, which python-can does not know. Choose one of "
-            f"{', '.join(sorted(BACKENDS))}."
-        )
+    interface = known_interface(options)
     if interface == "socketcand":
         _probe_socketcand(str(options.get("host", "")), options.get("port"))
     try:
@@ -61,7 +67,7 @@ def open_bus(options: BusOptions) -> can.BusABC:
     except (can.CanInterfaceNotImplementedError, ImportError, NameError) as error:
         # NameError: python-can's kvaser without its library
         raise SettingsError(
-            f"cannot open the bus ({where}): {error}. {_missing_package(str(interface))}"
+            f"cannot open the bus ({where}): {error}. {_missing_package(interface)}"
         ) from error
     except (TypeError, ValueError, KeyError) as error:
         raise SettingsError(

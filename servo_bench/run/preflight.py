@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from drivers.canopen.budget import BIT_RATES, FULL, REMEDY, bus_budget
+from drivers.canopen.line import known_interface
 from drivers.canopen.profile import DriveProfile
 from drivers.canopen.scaling import velocity_unit_rad_s
 from drivers.canopen.settings import CanopenSettings
@@ -52,6 +53,7 @@ def preflight(experiment: Experiment, rig: RigConfig) -> list[Finding]:
     if settings is not None and rig.limits.drive_temperature_c is not None:
         findings.append(_temperature(settings, rig.limits.drive_temperature_c))
     if isinstance(settings, CanopenSettings):
+        findings += _attempt("bus", lambda: _interface(settings))
         findings += _attempt("drive", lambda: _canopen(schedule, settings))
     elif isinstance(settings, ModbusSettings):
         findings += _attempt("drive", lambda: _modbus(schedule, settings))
@@ -182,6 +184,11 @@ def judge_quantum(quantum_rad_s: float, schedule: Schedule, subject: str) -> Fin
     if share > COARSE:
         return change(subject, f"{text}: set a finer unit (0x60A9), or raise the amplitude.")
     return ok(subject, f"{text}.")
+
+
+def _interface(settings: CanopenSettings) -> list[Finding]:
+    known_interface(settings.bus)
+    return []
 
 
 def _canopen(schedule: Schedule, settings: CanopenSettings) -> list[Finding]:

@@ -145,7 +145,7 @@ function seenToEnd(status) {
 function detailOf(status) {
   const { state, run, held, held_reason: reason, queue, replay } = status;
   if (run !== null) return `${run.name}, by ${run.operator}: ${run.phase}, ${quantity(run.seconds_left, "s left", 3)}`;
-  const still = seenToEnd(status) ? "the rig stands; " : "not known whether the rig stands: look at it; ";
+  const still = seenToEnd(status) ? "the rig stands; " : "the rig may move: look at it; ";
   const known = state === "faulted" ? "" : still; // a fault's own sentence says what the drive said
   if (replay !== null) return `${known}a recording is replayed at ${replay.speed}×`;
   if (held) return `${known}queue held: ${reason}`;

@@ -244,3 +244,5 @@ def test_a_scale_that_a_round_has_found_is_told_as_it_was_read() -> None:
     assert one.confidence > 0.95
     assert found.value == pytest.approx(wave["amplitude_rad"], abs=4.0 * found.standard_error)
     assert found.standard_error < 1e-5
+    order = one.parameters["line_order"]
+    assert (order.value, order.standard_error, order.unit) == (LINES, 0.0, "1")

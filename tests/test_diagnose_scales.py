@@ -1,12 +1,17 @@
 """How large things are on a rig: what its controller does between the samples, and holds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from servo_bench.diagnosis.comparing.rows import rows_of
+from servo_bench.diagnosis.searching.readying import FEW, _largest_a
 from servo_bench.diagnosis.searching.scales import scales_of
 from sim_rig.model import Model
 from sim_rig.settings import Nominal
+from tests.fit_recordings import NOMINAL, recorded
 
 PERIOD_S, PARTS = 0.008, 160
 SOFT = Nominal(0.43485, 1.42e-3, 0.22936, 8.3512, 0.02618)
@@ -43,3 +48,17 @@ def test_a_stiff_loop_asks_for_most_of_its_current_between_the_samples(seed: int
     largest = STIFF.proportional_gain_a_s_per_rad * float(np.abs(np.diff(commands)).max())
     assert 0.5 * largest < scales.peaks_a[0] < 1.1 * largest
     assert scales.peaks_a[0] > 2.0 * scales.currents_a[0]
+
+
+@pytest.mark.parametrize("name", ["motor_torque_nm", "torque_nm", "motor_current_a", "current_a"])
+def test_the_largest_current_is_known_by_whatever_tells_it(name: str) -> None:
+    """As a drive names it, and as an import's map does."""
+    run = recorded(Model(NOMINAL), 4)
+    torque_nm = np.asarray(run["motor_torque_nm"])
+    per_a = NOMINAL.torque_constant_nm_per_a if name.endswith("_nm") else 1.0
+    channels = {n: v for n, v in run.channels.items() if n != "motor_torque_nm"}
+    channels[name] = torque_nm / NOMINAL.torque_constant_nm_per_a * per_a
+    rows = rows_of(replace(run, channels=channels))
+    (largest_a,) = _largest_a(rows, Model(NOMINAL))
+    largest_nm = np.sort(np.abs(torque_nm))[-FEW]
+    assert largest_a == pytest.approx(largest_nm / NOMINAL.torque_constant_nm_per_a)

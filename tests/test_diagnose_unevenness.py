@@ -88,3 +88,14 @@ def test_lines_are_beside_those_that_a_model_has() -> None:
             pytest.approx(3e-4),
         )
         assert params.third_order == 6.0
+
+
+def test_a_third_line_of_its_own_lets_it_miss_no_more(seen: Evidence) -> None:
+    """There is no place for a fourth: what one would change is asked beside the first two."""
+    two = MODEL.with_effect(
+        "cogging", torque_nm=6e-3, order=12.0, second_torque_nm=4e-3, second_order=8.0
+    )
+    kept = two.effects["cogging"]._asdict()
+    three = two.with_effect("cogging", **kept | {"third_torque_nm": 4e-3, "third_order": 30.0})
+    np.testing.assert_array_equal(unevenness(seen, two, TORQUE_NM), 0.0)
+    np.testing.assert_array_equal(unevenness(seen, three, TORQUE_NM), 0.0)

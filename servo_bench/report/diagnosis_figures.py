@@ -17,6 +17,8 @@ from servo_bench.diagnosis.comparing.locking import (
 )
 from servo_bench.diagnosis.comparing.rounding import floor_of
 from servo_bench.diagnosis.comparing.rows import Array, Mask
+from servo_bench.diagnosis.judging.causes import causes_of
+from servo_bench.diagnosis.judging.judgement import fitted_of
 from servo_bench.diagnosis.judging.picture import Track
 from servo_bench.diagnosis.searching.contenders import Contender, Round
 from servo_bench.diagnosis.searching.finding import Finding
@@ -55,7 +57,10 @@ def judged(finding: Finding) -> Judged:
     where = comparison.held_out
     if finding.held_out is not None:
         where = where | comparison.seen
-    nominal, extended = comparison.errors_of([finding.nominal, finding.final.model])
+    sent = compare(finding.told, finding.nominal, comparison.block)  # lost ones among them
+    (nominal,) = sent.errors_of([finding.nominal])
+    extended_model = fitted_of(finding, tuple(causes_of(finding))).model
+    (extended,) = comparison.errors_of([extended_model])
     return Judged(comparison, where.astype(np.float64), nominal, extended, finding.quantum_rad)
 
 
@@ -95,7 +100,9 @@ def _stretch(found: Judged, period_s: float) -> slice:
     return slice(first, first + length)
 
 
-def draw_evidence(figure: Figure, played: Round, chosen: Contender | None) -> None:
+def draw_evidence(
+    figure: Figure, played: Round, chosen: Contender | None, rival: str | None = None
+) -> None:
     """What screening promised, what the fits left, and in which blocks the first one gains."""
     promised, left, blocks = figure.subplots(1, 3, width_ratios=[1.15, 1.0, 1.2])
     best = played.screened[:SHOWN_SCREENED]
@@ -112,7 +119,7 @@ def draw_evidence(figure: Figure, played: Round, chosen: Contender | None) -> No
         left.bar_label(bars, fmt="%.3g", padding=2, fontsize=6.5, color=MUTED)
     left.set_xlim(0.0, 125.0)
     caption_axes(left, "fitted: cost left", "of the base's cost (%)", "")
-    _draw_blocks(blocks, played, chosen)
+    _draw_blocks(blocks, played, chosen, rival)
 
 
 def _bars(
@@ -131,19 +138,19 @@ def _bars(
         axes.text(0.5, 0.5, none, ha="center", transform=axes.transAxes, color=MUTED)
 
 
-def _draw_blocks(axes: Axes, played: Round, chosen: Contender | None) -> None:
-    """Block by block: advantage over the base, and over the best rival."""
+def _draw_blocks(axes: Axes, played: Round, chosen: Contender | None, rival: str | None) -> None:
+    """Block by block: advantage over the base, and over the rival that the verdict has."""
     caption_axes(axes, "advantage, sorted", "block (0.5 s each)", "signed root of cost")
     axes.axhline(0.0, color=MUTED, linewidth=0.6)
     if chosen is None:
         said = "none was accepted" if played.contenders else "nothing was fitted"
         axes.text(0.5, 0.5, said, ha="center", transform=axes.transAxes, color=MUTED)
         return
-    others = [c for c in played.contenders if c is not chosen]
+    others = [c for c in played.contenders if c is not chosen and c.effect == rival]
     pairs = [(played.base_costs, "over the base", ORDER_3, "-")]
     if others:
-        rival = min(others, key=lambda c: c.total)
-        pairs.append((rival.costs, f"over {rival.effect.replace('_', ' ')}", ORDER_1, "--"))
+        best = min(others, key=lambda c: c.total)
+        pairs.append((best.costs, f"over {best.effect.replace('_', ' ')}", ORDER_1, "--"))
     for costs, label, colour, dash in pairs:
         judged = (costs != 0.0) | (chosen.costs != 0.0)  # a block may lie in one part only
         gained = (costs - chosen.costs)[judged]

@@ -156,24 +156,34 @@ def _before_after(found: Judged) -> Plate:
 
 
 def _evidence(verdict: Verdict, finding: Finding) -> Iterator[Plate]:
-    """For every named cause its round; else the first round, with nothing chosen."""
+    """For every cause that was found its round, in the verdict or not; else the first round, with
+    nothing chosen."""
     chosen: list[tuple[Round, Contender | None]] = [
         (n.round, n.contender) for n in finding.named if n.missed_z is None
     ]
     if not chosen and finding.rounds:
         chosen = [(finding.rounds[0], None)]
     none = "no other cause was accepted" if verdict.causes else "nothing was convincing"
+    rivals = {cause.effect: cause.rival for cause in verdict.causes}
     for number, (played, contender) in enumerate(chosen, 1):
-        what = f"the evidence for {contender.effect}" if contender else none
-        yield _round_plate(number, played, contender, what)
+        if contender is None:
+            what = none
+        elif contender.effect in rivals:
+            what = f"the evidence for {contender.effect}"
+        else:
+            what = f"{contender.effect}, which has no name in the verdict"
+        rival = rivals.get(contender.effect) if contender else None
+        yield _round_plate(number, played, contender, what, rival=rival)
 
 
-def _round_plate(number: int, played: Round, contender: Contender | None, what: str) -> Plate:
+def _round_plate(
+    number: int, played: Round, contender: Contender | None, what: str, *, rival: str | None
+) -> Plate:
     return Plate(
         drawn(
             f"evidence-{number}",
             2.7,
-            lambda figure: draw_evidence(figure, played, contender),
+            lambda figure: draw_evidence(figure, played, contender, rival),
             f"Screening and fits: {what}",
         ),
         f"Search {number}: {what.replace('_', ' ')}",

@@ -25,6 +25,8 @@ ALLOWED: Mapping[str, Sequence[float]] = {
     "effort": (0.017,),
 }
 """Robust deviation over the signal's own rms, from the quickest scale to the slowest."""
+BETWEEN_FACES, FACES_PERCENT = "twist angle", (2.0, 98.0)
+"""An angle between two encoders, whose zeros are anywhere: it is told from between its faces."""
 SCALES = (1, 6, 36, 216)
 """Points over whose means angles are compared."""
 ROW_S = 0.008
@@ -39,6 +41,8 @@ def allowed(comparison: Comparison) -> Array:
         kind = _kind(signal.name, signal.increments)
         share = _share(kind, signal.stride * point_s)
         known = row[np.isfinite(row) & comparison.seen]
+        if kind == BETWEEN_FACES and known.size:
+            known = known - 0.5 * np.sum(np.percentile(known, FACES_PERCENT))
         rms = float(np.sqrt(np.mean(known**2))) if known.size else 0.0
         found.append(np.linalg.norm([FLOORS * signal.floor, share * rms, LATE * chance]))
     return np.array(found)

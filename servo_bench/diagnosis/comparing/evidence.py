@@ -86,7 +86,9 @@ class Evidence:
     @cached_property
     def allowed(self) -> Array:
         """What a right simulation may miss, in the signals' units, shape (signals,)."""
-        return allowed(self.fitted[0])
+        known = [one.seen.sum() for one in self.fitted]
+        squares = [allowed(one) ** 2 for one in self.fitted]
+        return np.asarray(np.sqrt(np.average(squares, axis=0, weights=known)))
 
     def deviation(self, errors: "Errors") -> Array:
         """What errors are weighed by, shape (signals,): their robust deviation, within bounds.

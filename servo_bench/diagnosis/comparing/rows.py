@@ -229,6 +229,6 @@ def _phases(recording: Recording, t_s: Array) -> tuple[Mask, Mask]:
 
 def resting_rows(recording: Recording) -> int:
     """Rows before the first command to move; none where there is no command."""
-    if "velocity_command_rad_s" not in recording:
+    if "velocity_command_rad_s" not in recording or not len(recording):
         return 0
     return int(np.argmax(np.nan_to_num(recording["velocity_command_rad_s"]) != 0.0))

@@ -36,17 +36,19 @@ def unevenness(whole: Evidence, model: Model, torque_nm: float) -> Array:
     size_nm = SHARE * torque_nm
     has = {order for _, order in _own(model)}
     orders = [order for order in ORDERS if order not in has]
-    tried = [*(lines(model, size_nm, order) for order in orders), [_rubbing(model, size_nm)]]
-    changed = np.linalg.norm([changed_by(whole, model, others) for others in tried], axis=0)
+    roomy = with_room(model)
+    changes = [changed_by(whole, roomy, lines(roomy, size_nm, order)) for order in orders]
+    changes.append(changed_by(whole, model, [_rubbing(model, size_nm)]))
+    changed = np.linalg.norm(changes, axis=0)
     beyond = np.maximum(changed**2 - (USUAL * whole.allowed) ** 2, 0.0)
     return np.asarray(np.minimum(np.sqrt(beyond), MOST * whole.allowed))
 
 
 def lines(model: Model, torque_nm: float, order: float) -> Sequence[Model]:
-    """The model with a torque at that order too, in two phases of which one is about the worst; it
-    takes the last one's place where it has three already."""
+    """The model, which has room for one, with a torque at that order too, in two phases of which
+    one is about the worst."""
     params = model.effects.get("cogging", cogging.Params())
-    slot = next((p for p in PLACES if getattr(params, f"{p}torque_nm") == 0.0), PLACES[-1])
+    slot = next(p for p in PLACES if getattr(params, f"{p}torque_nm") == 0.0)
     kept = params._asdict()
     return [
         model.with_effect(
@@ -60,6 +62,15 @@ def lines(model: Model, torque_nm: float, order: float) -> Sequence[Model]:
         )
         for phase in PHASES_RAD
     ]
+
+
+def with_room(model: Model) -> Model:
+    """The model, without its last line where every place has one: what a further one changes is
+    hardly another beside two lines than beside three."""
+    if len(_own(model)) < len(PLACES):
+        return model
+    kept = model.effects["cogging"]._asdict() | {f"{PLACES[-1]}torque_nm": 0.0}
+    return model.with_effect("cogging", **kept)
 
 
 def _own(model: Model) -> Sequence[tuple[float, float]]:

@@ -60,7 +60,7 @@ def causes_of(finding: Finding) -> Iterator[Cause]:
         yield _seen_in_the_data("quantisation", count_rad=_quantity(step, error))
     for read in finding.readings:
         told = {n: _quantity(read.settings[n], error) for n, error in read.errors.items()}
-        yield _seen_in_the_data(read.effect, **told)
+        yield _in_its_shape(_seen_in_the_data(read.effect, **told), finding.final.model)
 
 
 def _quantity(value_rad: float, error_rad: float) -> Quantity:

@@ -38,6 +38,7 @@ from servo_bench.diagnosis.searching.finding import Finding
 from servo_bench.diagnosis.searching.gate import RIGHT, RIGHT_ALREADY, strength_of
 from servo_bench.diagnosis.searching.hypotheses import DETECTED, ON_THE_LOAD
 from servo_bench.diagnosis.searching.readying import order_tolerance
+from servo_bench.diagnosis.searching.seeking import Found
 from sim_rig.effects import find_effect
 from sim_rig.model import Model
 
@@ -76,7 +77,8 @@ def verdict_of(finding: Finding) -> Verdict:
         notes.append(f"{names} would take a part of what is left, not surely enough for a name.")
     if kind == "unknown":
         notes += misread(finding.whole.fitted[0], finding.nominal, finding.final.model)
-    model = finding.final.model if causes else finding.base.model
+    fitted = fitted_of(finding, told)
+    model = fitted.model
     error = error_figures(finding, model, [c.effect for c in named])
     return Verdict(
         verdict=kind,
@@ -89,9 +91,16 @@ def verdict_of(finding: Finding) -> Verdict:
         next_run=next((c.splitting_experiment for c in named if c.splitting_experiment), ""),
         nominal=_nominal(model),
         effects=_effects(model, named),
-        nuisances=_nuisances(finding),
+        nuisances=_nuisances(finding, fitted),
         seconds=finding.seconds,
     )
+
+
+def fitted_of(finding: Finding, told: Sequence[Cause]) -> Found:
+    """Which of its fits a verdict and its page tell: the final one, with all that is too small for
+    a name; but the plain one where it has what is not sure enough to be believed."""
+    unsure = told and not any(_has_a_name(cause) for cause in told)
+    return finding.base if unsure else finding.final
 
 
 def _has_a_name(cause: Cause) -> bool:
@@ -241,11 +250,11 @@ def _effects(model: Model, named: Sequence[Cause]) -> dict[str, dict[str, float]
     return found
 
 
-def _nuisances(finding: Finding) -> dict[str, float]:
+def _nuisances(finding: Finding, fitted: Found) -> dict[str, float]:
     named = {n.effect for n in finding.named}
     return {
         u.name: float(v)
-        for u, v in zip(finding.final.unknowns, finding.final.values, strict=True)
+        for u, v in zip(fitted.unknowns, fitted.values, strict=True)
         if u.effect not in named
     }
 

@@ -58,9 +58,7 @@ from servo_bench.diagnosis.searching.coasting import (
 from servo_bench.diagnosis.searching.contenders import Round
 from servo_bench.diagnosis.searching.forking import rounds_of
 from servo_bench.diagnosis.searching.gate import RIGHT_ALREADY, is_noted, misfit
-from servo_bench.diagnosis.searching.hypotheses import (
-    hypotheses,
-)
+from servo_bench.diagnosis.searching.hypotheses import DETECTED, hypotheses
 from servo_bench.diagnosis.searching.joint import (
     Named,
     fit_jointly,
@@ -163,7 +161,8 @@ def find_causes(
     _need_command(recordings)
     rows = rows_to_a_command(recordings) if block in ("auto", "loop") else 1
     came, thin = recordings[0], _thinned(recordings, held_out, rows, model)
-    ready = made_ready(*thin, model, block=block, without=without, report=report)
+    out = _not_asked(without, only)
+    ready = made_ready(*thin, model, block=block, without=out, report=report)
     quick, base, scales, band = ready.quick, ready.base, ready.scales, ready.band
     motor, waves, turns = ready.motor, ready.waves, turns_of(quick)
     load = load_lines(compare(ready.recordings[0], base.model, block), base.model)
@@ -219,9 +218,8 @@ def find_causes(
     final, named, small = _worth_telling(late, final, named, before, anew=bool(joint or one))
     absorbed += small
     # judged beside what is known now: a motor that sticks stands on the command's own steps
-    grid = None if "quantisation" in without else lattice(whole.fitted[0], final.model)
+    grid = None if "quantisation" in out else lattice(whole.fitted[0], final.model)
     final, plain, named, absorbed = _coasting_at_last(late, final, plain, named, absorbed)
-    out = {e for e in READ_OFF if e in without or (only and e not in only)}
     final, named, readings = with_readings(whole, final, named, late, out)
     there = {*_absorbed(absorbed, named, final), *(read.effect for read in readings)}
     named = beside_the_unlike(final, named, late, there=there)
@@ -253,6 +251,11 @@ def find_causes(
         narrowed=bool(without or only),
         seconds=time.perf_counter() - began,
     )
+
+
+def _not_asked(without: Collection[str], only: Collection[str]) -> set[str]:
+    """Of what is seen in the data themselves, what nobody wants to be told."""
+    return {e for e in (*READ_OFF, *DETECTED) if e in without or (only and e not in only)}
 
 
 def _beside_coasting(

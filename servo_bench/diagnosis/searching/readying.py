@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from servo_bench.diagnosis.comparing.comparison import Choice, compare
+from servo_bench.diagnosis.comparing.comparison import CURRENTS, Choice, compare
 from servo_bench.diagnosis.comparing.evidence import Evidence, evidence_of, quick_evidence
-from servo_bench.diagnosis.comparing.rows import Rows
+from servo_bench.diagnosis.comparing.rows import EFFORTS, Rows
 from servo_bench.diagnosis.reading.channels import wrong_angles
 from servo_bench.diagnosis.reading.lost import (
     LostCommands,
@@ -234,9 +234,9 @@ def _scales(quick: Evidence, model: Model) -> Scales:
 
 def _largest_a(rows: Rows, model: Model) -> tuple[float, ...]:
     """The largest current that came more than a few times: where it was limited, the limit."""
-    per_unit = {"motor_current_a": 1.0, "motor_torque_nm": model.nominal.torque_constant_nm_per_a}
-    for name, unit in per_unit.items():
+    for name in EFFORTS:
         if rows.has(name):
+            unit = 1.0 if name in CURRENTS else model.nominal.torque_constant_nm_per_a
             size = np.abs(rows.channel(name)) / unit
             size = np.sort(size[np.isfinite(size) & (size > 0.0)])
             return tuple(size[-FEW:][:1].tolist())

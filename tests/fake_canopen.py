@@ -117,6 +117,8 @@ class FakeBus(can.BusABC):
     def shutdown(self) -> None:
         self._world.closed += 1
         super().shutdown()
+        if self._world.dead:  # python-can's slcan says "close" to the adapter
+            raise can.CanOperationError("Could not write to serial device")
 
 
 @dataclass

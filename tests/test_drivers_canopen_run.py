@@ -1,11 +1,13 @@
 """Running, watching, and leaving: on a bus and a clock that a test commands."""
 
+import itertools
 import logging
 from collections.abc import Callable
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 
+import can
 import pytest
 
 from drivers.axis import Sample, WireEvent
@@ -343,6 +345,37 @@ def test_a_bus_that_is_dead_when_leaving_raises_if_nothing_else_does(rig: FakeRi
     with pytest.raises(WireError, match=r"did not confirm its stop.*Broken pipe"), rig.axis():
         rig.world.dead = True
     assert rig.world.closed == 1
+
+
+@pytest.mark.parametrize("raised", [ValueError("invalid literal"), IndexError("string index")])
+def test_a_garbled_line_of_text_is_passed_over(
+    rig: FakeRig, monkeypatch: pytest.MonkeyPatch, raised: Exception
+) -> None:
+    receive, count = rig.world.receive, itertools.count()
+
+    def garbled(timeout_s: float) -> can.Message | None:
+        if next(count) % 5 == 0:
+            raise raised
+        return receive(timeout_s)
+
+    monkeypatch.setattr(rig.world, "receive", garbled)
+    with rig.axis() as axis:
+        run = Run(rig, axis)
+        run.play(6)
+    assert [sample.slot for sample in run.samples] == list(range(6))
+    assert all(sample.motor_position_counts is not None for sample in run.samples)
+
+
+def test_a_line_that_is_garbled_for_good_ends_in_words(
+    rig: FakeRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def garbled(timeout_s: float) -> can.Message | None:
+        rig.world.clock.sleep_s(timeout_s)
+        raise ValueError("invalid literal")
+
+    monkeypatch.setattr(rig.world, "receive", garbled)
+    with pytest.raises(WireError, match="does not answer"), rig.axis():
+        pass
 
 
 def session(rig: FakeRig) -> None:

@@ -67,7 +67,7 @@ class Cycle:
         self.guarded = False
         self.motor_velocity_rad_s: float | None = None
         self._line = line
-        self._bus = line.bus
+        self._bus, self._read = line.bus, line.read
         self._now_ns = line.clock.now_ns
         self._watch = watch
         self._drive = drive
@@ -284,12 +284,6 @@ class Cycle:
                 took_s = (stream.last_answer_ns - asked_ns) * 1e-9
                 late_s[stream.name] = max(took_s, late_s.get(stream.name, 0.0))
         return late_s
-
-    def _read(self, timeout_s: float) -> can.Message | None:
-        try:
-            return self._bus.recv(timeout_s)
-        except (can.CanError, OSError) as error:
-            raise self._line.broken(error) from error
 
     def _missing(self) -> bool:
         for matcher in self._matchers:  # noqa: SIM110 (a generator costs more than the loop)

@@ -8,6 +8,7 @@ import errno
 import logging
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import can
@@ -22,6 +23,8 @@ logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it logs, 
 
 _GREETING = b"< hi >"
 _PROBE_TIMEOUT_S = 2.0
+_GARBLED = 100
+"""Garbled frames passed over in one read at most."""
 _EXTRAS = {
     "slcan": "serial",
     "serial": "serial",
@@ -132,16 +135,33 @@ class Line:
         except (can.CanError, OSError) as error:
             raise self.broken(error) from error
 
+    def read(self, timeout_s: float) -> can.Message | None:
+        """The next frame; None where none came in time. WireError if the bus dies.
+
+        One that is garbled is as good as lost: slcan and its like read lines of text, and a byte
+        that was damaged on the serial line makes python-can raise what `int` and `str` do.
+        """
+        for _ in range(_GARBLED):
+            try:
+                return self.bus.recv(timeout_s)
+            except (ValueError, IndexError):
+                timeout_s = 0.0  # what has come already; whoever waits on looks at the clock
+            except (can.CanError, OSError) as error:
+                raise self.broken(error) from error
+        return None
+
+    def close(self) -> None:
+        """Close the bus. One that is gone cannot be closed in order, and that is no news."""
+        with suppress(can.CanError, OSError):
+            self.bus.shutdown()
+
     def receive_until(self, deadline_ns: int, done: Callable[[], bool]) -> bool:
         """Dispatch frames until `done` or the deadline; True if done. WireError if the bus dies."""
         while not done():
             remaining_ns = deadline_ns - self.clock.now_ns()
             if remaining_ns <= 0:
                 return False
-            try:
-                frame = self.bus.recv(remaining_ns * 1e-9)
-            except (can.CanError, OSError) as error:
-                raise self.broken(error) from error
+            frame = self.read(remaining_ns * 1e-9)
             if frame is not None and not (frame.is_error_frame or frame.is_remote_frame):
                 self.network.notify(frame.arbitration_id, frame.data, frame.timestamp)
         return True

@@ -267,7 +267,7 @@ class CanopenAxis:
             try:
                 self._release(cycle, drive, stopped=stopped)
             finally:
-                line.bus.shutdown()
+                line.close()
         if problem is not None:
             if active is None:
                 raise WireError(problem)

@@ -90,15 +90,12 @@ class CanopenStopLine:
         """Take what has come; see `StopLine.poll`. A node that restarts is told each time."""
         if self._line is None:
             return []
-        try:
-            for _ in range(_FLOOD):
-                frame = self._line.bus.recv(0.0)
-                if frame is None:
-                    break
-                if not (frame.is_error_frame or frame.is_remote_frame):
-                    self._line.network.notify(frame.arbitration_id, frame.data, frame.timestamp)
-        except (can.CanError, OSError) as error:
-            raise self._line.broken(error) from error
+        for _ in range(_FLOOD):
+            frame = self._line.read(0.0)
+            if frame is None:
+                break
+            if not (frame.is_error_frame or frame.is_remote_frame):
+                self._line.network.notify(frame.arbitration_id, frame.data, frame.timestamp)
         events = self._watch.drain()
         if events:
             self._watch.forget()
@@ -187,4 +184,4 @@ class CanopenStopLine:
         """See `StopLine.close`."""
         line, self._line, self._asked = self._line, None, None
         if line is not None:
-            line.bus.shutdown()
+            line.close()

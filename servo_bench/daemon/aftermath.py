@@ -37,12 +37,12 @@ def ask_standing(rig: RigConfig, period_s: float) -> Standing:
     try:
         with gathered():
             settings = rig.canopen_settings(period_s)
-            bus = open_bus(settings.bus)
+            line = Line(open_bus(settings.bus), SYSTEM_CLOCK)
             try:
-                node = open_drive(Line(bus, SYSTEM_CLOCK), settings.drive)
+                node = open_drive(line, settings.drive)
                 return _asked(node, rig.drive.heartbeat_timeout_s + OWN_STOP_S)
             finally:
-                bus.shutdown()
+                line.close()
     except BenchError as error:
         return Standing(
             f"The drive could not be asked whether it stands ({error}): look at it.", False

@@ -33,7 +33,7 @@ def opened(settings: CanopenSettings) -> Iterator[Line]:
             refuse_another_master(line, settings)
             yield line
     finally:
-        line.bus.shutdown()
+        line.close()
 
 
 def examine(settings: CanopenSettings) -> list[Finding]:
@@ -58,7 +58,7 @@ def _load(line: Line, settings: CanopenSettings) -> Finding:
 
     def count() -> bool:
         nonlocal bits
-        frame = line.bus.recv(0.01)
+        frame = line.read(0.01)
         bits += frame_bits(frame.dlc) if frame else 0
         return line.clock.now_ns() > until_ns
 

@@ -94,6 +94,16 @@ def test_a_master_whose_heartbeat_comes_too_late_is_refused_and_its_file_is_read
         assert "heartbeat_timeout_s" in found["period and line"].text
 
 
+@pytest.mark.parametrize("told", ["500k", -5, 0, 500, 0.5, True])
+def test_a_bit_rate_that_is_none_is_refused_in_words(
+    rig: RigConfig, told: str | int | float | bool
+) -> None:
+    found = by_subject(preflight(experiment(), rig.with_bus(bitrate=told)))
+    assert found["period and line"].level is Level.STOP
+    assert f"bus.bitrate = {told!r}: it is a whole number" in found["period and line"].text
+    assert "bus load" in by_subject(preflight(experiment(), rig.with_bus(bitrate=5e5)))
+
+
 def test_a_memory_that_a_run_would_refuse_is_refused_before(rig: RigConfig) -> None:
     plan = experiment().model_copy(update={"memory": 30, "lead_in": 64})
     found = by_subject(preflight(plan, rig))

@@ -13,7 +13,7 @@ from canopen.objectdictionary import ObjectDictionary
 
 from drivers.canopen.eds import load_eds
 from drivers.canopen.profile import CURRENT, LOAD_POSITION, Address
-from drivers.canopen.settings import CanopenSettings
+from drivers.canopen.settings import CanopenSettings, bit_rate
 from drivers.errors import SettingsError
 
 BIT_RATES = (1_000_000, 500_000, 250_000, 125_000)
@@ -113,10 +113,10 @@ def bus_budget(settings: CanopenSettings) -> BusBudget:
 
 def check_bus_load(settings: CanopenSettings) -> None:
     """Raise SettingsError where the bit rate ([bus] bitrate, else the fastest) cannot hold this."""
-    configured = settings.bus.get("bitrate")
+    configured = bit_rate(settings.bus)
     if configured is None and settings.period_s > _ONCE_EXAMINED_S:
         return
-    rate = int(configured) if configured else BIT_RATES[0]
+    rate = configured or BIT_RATES[0]
     budget = bus_budget(settings)
     if not budget.holds(rate):
         raise SettingsError(

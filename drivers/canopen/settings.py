@@ -13,6 +13,24 @@ BusOptions = Mapping[str, str | int | float | bool]
 """The keyword arguments of `can.Bus`: interface, channel, and what that interface wants."""
 
 
+LEAST_BIT_RATE = 10_000
+"""The slowest that CiA 301 knows."""
+
+
+def bit_rate(options: BusOptions) -> int | None:
+    """`bus.bitrate`, None where the rig file does not say it; SettingsError for what is none."""
+    told = options.get("bitrate")
+    if told is None:
+        return None
+    is_number = isinstance(told, int | float) and not isinstance(told, bool)
+    if not is_number or not float(told).is_integer() or float(told) < LEAST_BIT_RATE:
+        raise SettingsError(
+            f"bus.bitrate = {told!r}: it is a whole number of bit/s, {LEAST_BIT_RATE} at the "
+            "least. Write 500 kbit/s as bitrate = 500000."
+        )
+    return int(told)
+
+
 @dataclass(frozen=True, slots=True)
 class NodeSettings:
     """A node on the bus and who it should be. An identity of None is not checked."""
@@ -74,7 +92,7 @@ class CanopenSettings:
     and 8 sample an 8 ms command eight times. `sync_by_drive`: the drive produces SYNC, and this
     master follows. `stuck_travel_rad` is how far the motor may turn
     before the load must have moved at all, see `drivers.plausible`.
-    Raises SettingsError for two load encoders.
+    Raises SettingsError for two load encoders, and for a bit rate that is none.
     """
 
     bus: BusOptions
@@ -95,6 +113,7 @@ class CanopenSettings:
             )
         if self.command_every < 1:
             raise SettingsError(f"command_every = {self.command_every}: one SYNC at the least.")
+        bit_rate(self.bus)
 
     @property
     def command_period_s(self) -> float:

@@ -14,7 +14,7 @@ from drivers.canopen.budget import BIT_RATES, FULL, REMEDY, bus_budget
 from drivers.canopen.line import known_interface
 from drivers.canopen.profile import DriveProfile
 from drivers.canopen.scaling import velocity_unit_rad_s
-from drivers.canopen.settings import CanopenSettings
+from drivers.canopen.settings import CanopenSettings, bit_rate
 from drivers.canopen.stopline import SHARED_BUSES
 from drivers.counter.settings import CounterSettings, sum_of
 from drivers.modbus import profile as names
@@ -243,8 +243,8 @@ def _gains(profile: DriveProfile) -> Finding:
 
 def _bus(settings: CanopenSettings) -> list[Finding]:
     budget = bus_budget(settings)
-    configured = settings.bus.get("bitrate")
-    rates = (int(configured),) if configured else BIT_RATES
+    configured = bit_rate(settings.bus)
+    rates = (configured,) if configured else BIT_RATES
     loads = ", ".join(f"{100 * budget.load(rate):.0f} % at {rate // 1000} kbit/s" for rate in rates)
     text = f"{budget} in {settings.period_s * 1e3:g} ms, SYNC's period: {loads}"
     if not budget.holds(max(rates)):

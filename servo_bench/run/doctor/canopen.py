@@ -13,7 +13,7 @@ from drivers.canopen.listening import refuse_another_master
 from drivers.canopen.node import Node
 from drivers.canopen.scaling import check_ratio
 from drivers.canopen.scan import Found, find_nodes
-from drivers.canopen.settings import CanopenSettings, EncoderSettings
+from drivers.canopen.settings import CanopenSettings, EncoderSettings, bit_rate
 from drivers.canopen.setup import identify, open_drive, open_encoder
 from drivers.canopen.units import check_ratios, rated_torque_nm
 from drivers.errors import DriverError
@@ -66,8 +66,8 @@ def _load(line: Line, settings: CanopenSettings) -> Finding:
     while not count():
         pass
     budget = bus_budget(settings)
-    configured = settings.bus.get("bitrate")
-    rates = (int(configured),) if configured else BIT_RATES
+    configured = bit_rate(settings.bus)
+    rates = (configured,) if configured else BIT_RATES
     loads = [budget.load(rate) + bits / LISTEN_S / rate for rate in rates]
     text = ", ".join(
         f"{100 * load:.0f} % at {rate // 1000} kbit/s"

@@ -210,6 +210,33 @@ def test_a_wrong_unit_is_refused() -> None:
         small(items=items)
 
 
+@pytest.mark.parametrize(
+    ("name", "changes", "words"),
+    [
+        ("motor_position", {"scale": 16.0}, r"scale = 16: .*into drive\.counts_per_revolution"),
+        ("load_position", {"scale": 0.5}, r"into drive\.second_encoder\.counts_per_revolution"),
+        ("statusword", {"scale": 2.0}, "scale = 2: .*as they are"),
+        ("statusword", {"type": "int16"}, 'type = "int16": one of uint16, uint32'),
+        ("statusword", {"type": "float32"}, 'type = "float32": one of uint16, uint32'),
+        ("motor_position", {"type": "float32"}, "whole number of counts"),
+        ("device_time", {"type": "uint16", "unit": "us"}, 'type = "uint16": one of uint32'),
+        ("device_time", {"type": "uint32", "unit": "us", "scale": 0.1}, "scale = 0.1: whole micro"),
+    ],
+)
+def test_digits_that_the_bench_would_misread_are_refused(
+    name: str, changes: dict[str, Any], words: str
+) -> None:
+    items = table()["items"]
+    item = items.get(name, {"address": 0x210}) | changes
+    with pytest.raises(ValueError, match=words):
+        small(items=items | {name: item})
+
+
+def test_a_device_clock_of_milliseconds_may_be_used() -> None:
+    time = {"address": 0x210, "type": "uint32", "unit": "us", "scale": 1000.0}
+    assert small(items=table()["items"] | {"device_time": time}).items["device_time"].scale == 1000
+
+
 def test_neighbours_in_one_block_may_not_overlap() -> None:
     items = table()["items"] | {"statusword": {"address": 0x201}}
     with pytest.raises(ValueError, match="overlap"):

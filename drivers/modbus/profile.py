@@ -46,6 +46,24 @@ _UNITS: dict[str, tuple[str, ...]] = {
     TIME: ("us",),
     TEMPERATURE: ("degC",),
 }
+_WHOLE = ("int16", "uint16", "int32", "uint32")
+_TYPES: dict[str, tuple[str, ...]] = {
+    STATUS: ("uint16", "uint32"),
+    POSITION: _WHOLE,
+    LOAD: _WHOLE,
+    TIME: ("uint32",),
+}
+_WHY = {
+    STATUS: "Its bits are no number that can be negative.",
+    POSITION: "It is a whole number of counts.",
+    LOAD: "It is a whole number of counts.",
+    TIME: "Differences are taken where 32 bits begin again.",
+}
+_UNSCALED = {
+    STATUS: "",
+    POSITION: ", and put it into drive.counts_per_revolution",
+    LOAD: ", and put it into drive.second_encoder.counts_per_revolution",
+}
 
 
 class Bits(Table):
@@ -208,10 +226,30 @@ class DriveProfile(Table):
             item = self.items.get(name)
             if item is not None and item.unit not in allowed:
                 raise ValueError(f"[items.{name}] unit = {item.unit!r}: one of {allowed}")
-        for name in (STATUS, POSITION, LOAD, TIME):
+        return self
+
+    @model_validator(mode="after")
+    def _digits_can_be_used(self) -> "DriveProfile":
+        for name, types in _TYPES.items():
             item = self.items.get(name)
-            if item is not None and item.type == "float32":
-                raise ValueError(f"[items.{name}] is a whole number, not float32")
+            if item is not None and item.type not in types:
+                raise ValueError(
+                    f'[items.{name}] type = "{item.type}": one of {", ".join(types)}. '
+                    f"{_WHY[name]} Correct the type, or leave the item out where the drive has none"
+                )
+        for name, setting in _UNSCALED.items():
+            item = self.items.get(name)
+            if item is not None and item.scale != 1.0:
+                raise ValueError(
+                    f"[items.{name}] scale = {item.scale:g}: its digits are taken as they are, 1 "
+                    f"is allowed. Leave scale out{setting}"
+                )
+        time = self.items.get(TIME)
+        if time is not None and not time.scale.is_integer():
+            raise ValueError(
+                f"[items.{TIME}] scale = {time.scale:g}: whole microseconds are allowed, or the "
+                "clock would not begin again at a multiple of 2^32 us. Leave the item out"
+            )
         return self
 
     @model_validator(mode="after")

@@ -207,6 +207,21 @@ def test_a_drive_that_does_not_answer_is_told() -> None:
     assert not world.powered
 
 
+def test_one_answer_that_is_lost_ends_nothing() -> None:
+    world, settings = guarded_world("one answer lost")
+    guarding = world.rig.drive_node._guarding
+    answer, lost = guarding.answer, iter([False] * 4 + [True])
+
+    def lossy(nmt_state: int, time_us: int) -> bytes | None:
+        data = answer(nmt_state, time_us)
+        return None if next(lost, False) else data
+
+    guarding.answer = lossy  # type: ignore[method-assign]
+    with world.axis(settings) as axis:
+        assert drive_on(world, axis, range(200)) == []
+    assert not list(lost), "it was lost"
+
+
 def test_an_answer_with_the_toggle_bit_of_the_one_before_is_none() -> None:
     world, settings = guarded_world("toggle")
     guarding = world.rig.drive_node._guarding

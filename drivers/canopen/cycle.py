@@ -102,6 +102,7 @@ class Cycle:
             self._heartbeat = remote_frame(HEARTBEAT + drive.node.node_id)
             self._heartbeat_ns = guard_ms * 1_000_000
         self._next_heartbeat_ns = 0
+        self._guard: Guard | None = None
         own = (self._command, self._sync, self._heartbeat)
         self._own = frozenset(frame.arbitration_id for frame in own) | {0x000}  # buses that echo
 
@@ -124,7 +125,7 @@ class Cycle:
         if encoder:
             self._supervise(encoder.node, sends_heartbeat=encoder.sends_heartbeat)
         if drive.guarded:
-            guard = Guard(drive.node.name, watch)
+            self._guard = guard = Guard(drive.node.name, watch)
             self._handlers[HEARTBEAT + drive.node.node_id] = guard.on_answer
             watch.expect_heartbeat(drive.node.name, self._now_ns(), guarded=True)
         if self._follows:
@@ -205,6 +206,8 @@ class Cycle:
             if now_ns >= self._next_heartbeat_ns:
                 self._bus.send(self._heartbeat)
                 self._next_heartbeat_ns = now_ns + self._heartbeat_ns
+                if self._guard:
+                    self._guard.on_question()
         except (can.CanError, OSError) as error:
             raise self._line.broken(error) from error
         if self._follows:

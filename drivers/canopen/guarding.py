@@ -43,15 +43,22 @@ class Guard:
         self._name = name
         self._watch = watch
         self._toggle: int | None = None
+        self._unanswered = 0
+
+    def on_question(self) -> None:
+        """The master asks."""
+        self._unanswered += 1
 
     def on_answer(self, data: bytearray, now_ns: int) -> None:
         """A frame on 0x700 + node: an answer, or the boot-up message of a node that restarted.
 
         An answer whose toggle bit has not changed counts as one that did not come (CiA 301): it is
-        the one before, sent again by whatever stands between.
+        the one before, sent again by whatever stands between. After a question that nobody
+        answered either bit is right: the question was lost, or an answer, which has toggled it.
         """
+        one_was_lost, self._unanswered = self._unanswered > 1, 0
         toggle = data[0] >> _TOGGLE_BIT if data else None
-        if toggle is not None and any(data) and toggle == self._toggle:
+        if toggle is not None and any(data) and toggle == self._toggle and not one_was_lost:
             self._watch.tell(
                 now_ns,
                 "guarding answer repeated",

@@ -90,6 +90,16 @@ def test_what_an_eds_lacks_is_done_without_and_said(rig: FakeRig) -> None:
     assert rig.nothing_enabled()
 
 
+def test_a_drive_without_a_product_code_is_taken_where_none_is_wanted(rig: FakeRig) -> None:
+    settings = rig.settings()
+    asked = rig.settings(node={"product_code": 402})
+    del rig.drive.objects[0x1018, 2]
+    with rig.axis(settings):
+        assert rig.drive.enabled
+    with pytest.raises(DriveError, match="0x1018:2"), rig.axis(asked):
+        pytest.fail("entered")
+
+
 def test_an_axis_without_an_encoder_and_in_profile_velocity(rig: FakeRig) -> None:
     rig.drive.follows = False  # in mode PV bit 12 means standstill, and nobody may ask for it
     with rig.axis(encoder=False, mode="pv") as axis:

@@ -150,6 +150,8 @@ def identify(node: Node, settings: NodeSettings, profile_vendor_id: int | None) 
         (1, "vendor_id", vendor_id),
         (2, "product_code", settings.product_code),
     ):
+        if sub > 1 and wanted is None:
+            continue  # CiA 301 has every device tell its vendor, the rest is optional
         found = node.read(0x1018, sub)
         if wanted is not None and found != wanted:
             raise DriveError(

@@ -11,7 +11,8 @@ from typing import Any, Self
 
 from pydantic import Field, PositiveFloat, model_validator
 
-from drivers.canopen.settings import CanopenSettings
+from drivers.canopen.guarding import guard_times
+from drivers.canopen.settings import CanopenSettings, DriveSettings
 from drivers.counter.settings import CounterSettings
 from drivers.modbus.lines import Line, RtuLine, TcpLine
 from drivers.modbus.settings import ModbusSettings
@@ -148,15 +149,7 @@ class RigConfig(Value):
                 "computer's pace, not at the drive's. Set drive.sync = \"master\"."
             )
         drive = self.drive.settings()
-        every_s = period_s * math.ceil(drive.heartbeat_s / period_s)  # with a command
-        watched = drive.profile.stopping.watchdog == "heartbeat"
-        if watched and drive.heartbeat_timeout_s <= every_s:
-            raise ConfigError(
-                f"drive.heartbeat_timeout_s = {drive.heartbeat_timeout_s:g} s, and heartbeats go "
-                f"out every {every_s:g} s (drive.heartbeat_s = {drive.heartbeat_s:g}, each with a "
-                "command): the drive would take its master for lost. Lower drive.heartbeat_s, or "
-                "raise drive.heartbeat_timeout_s."
-            )
+        _check_timeout(drive, period_s)
         with gathered():
             return CanopenSettings(
                 bus=self.bus,
@@ -337,6 +330,31 @@ class RigConfig(Value):
         if device is not None and isinstance(self.encoder, SerialEncoderConfig):
             changed["encoder"] = self.encoder.model_copy(update={"device": str(device)})
         return self.model_copy(update=changed)
+
+
+def _check_timeout(drive: DriveSettings, period_s: float) -> None:
+    """Raise ConfigError where the drive must take a master that lives for lost."""
+    timeout_s, word_s = drive.heartbeat_timeout_s, drive.heartbeat_s
+    remedy = "lower drive.heartbeat_s"
+    match drive.profile.stopping.watchdog:
+        case "heartbeat":
+            words = f"heartbeats (drive.heartbeat_s = {word_s:g}"
+        case "node-guarding":
+            guard_ms, _ = guard_times(word_s, timeout_s)
+            word_s, remedy = guard_ms * 1e-3, "shorten the period"
+            words = f"node guarding's questions (guard time 0x100C = {guard_ms} ms"
+        case "rpdo-timer":
+            word_s, remedy = period_s, "shorten the period"
+            words = "commands (0x1400:5 awaits them"
+        case _:
+            return
+    every_s = period_s * math.ceil(word_s / period_s)
+    if timeout_s <= every_s:
+        raise ConfigError(
+            f"drive.heartbeat_timeout_s = {timeout_s:g} s, and {words}, each with a command) go "
+            f"out every {every_s:g} s: the drive would take its master for lost. Raise "
+            f"drive.heartbeat_timeout_s, or {remedy}."
+        )
 
 
 def load_rig(name: str | Path, beside: Path | None = None) -> RigConfig:

@@ -94,6 +94,44 @@ def test_a_master_whose_heartbeat_comes_too_late_is_refused_and_its_file_is_read
         assert "heartbeat_timeout_s" in found["period and line"].text
 
 
+RPDO_TIMER = """
+title = "mine"
+[[answers]]
+pdo = 1
+objects = ["0x6041", "0x6064"]
+[stopping]
+watchdog = "rpdo-timer"
+"""
+
+
+@pytest.mark.parametrize(
+    ("profile", "timeout_s", "words"),
+    [
+        ("generic-node-guarding", 0.04, "node guarding's questions"),
+        ("generic-node-guarding", 0.11, ""),
+        ("rpdo-timer", 0.05, "commands"),
+        ("rpdo-timer", 0.06, ""),
+    ],
+)
+def test_whatever_word_a_drive_awaits_must_come_before_its_timeout(
+    rig: RigConfig, tmp_path: Path, profile: str, timeout_s: float, words: str
+) -> None:
+    if profile == "rpdo-timer":
+        path = tmp_path / "mine.toml"
+        path.write_text(RPDO_TIMER)
+        profile = str(path)
+    changes = {"profile": profile, "heartbeat_timeout_s": timeout_s, "vendor_id": None}
+    table = rig.model_dump(mode="json")
+    slow = rig_from_table({**table, "drive": {**table["drive"], **changes}}, "a rig")
+    found = by_subject(preflight(experiment().model_copy(update={"period_s": 0.05}), slow))
+    assert ("period and line" in found) is bool(words)
+    if words:
+        told = found["period and line"].text
+        assert f"{words} (" in told
+        assert "go out every 0.05 s" in told
+        assert "shorten the period" in told
+
+
 @pytest.mark.parametrize("told", ["500k", -5, 0, 500, 0.5, True])
 def test_a_bit_rate_that_is_none_is_refused_in_words(
     rig: RigConfig, told: str | int | float | bool

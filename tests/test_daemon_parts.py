@@ -73,6 +73,28 @@ def test_a_lock_lives_as_long_as_anybody_has_its_descriptor(tmp_path: Path) -> N
     again.release()
 
 
+def test_a_lock_that_only_another_user_may_write_names_him_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "rig.lock"
+    real = os.open
+
+    def of_another(name: Path, flags: int, mode: int = 0o777) -> int:
+        if flags & os.O_RDWR and name == path:
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return real(name, flags, mode)
+
+    lock = take(path, Holder("the night shift"))
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "open", of_another)
+        with pytest.raises(BusyError, match=r"another cannot have.* held by the night shift"):
+            take(path, Holder("another"))
+        lock.let_go()
+        with pytest.raises(ConfigError, match="must remove it"):
+            take(path, Holder("another"))
+    take(path, Holder("the night shift")).release()
+
+
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"what": 1, "more": 2}', "\0" * 4096])
 def test_a_lock_with_strange_words_in_it_is_a_lock_all_the_same(tmp_path: Path, text: str) -> None:
     path = tmp_path / "rig.lock"

@@ -71,19 +71,15 @@ class Lock:
 
 
 def take(path: Path, holder: Holder) -> Lock:
-    """Lock the file at `path`. BusyError naming the holder where it is locked already."""
+    """Lock the file at `path`. BusyError naming the holder where it is locked already, ConfigError
+    where it cannot be opened."""
     while True:
-        descriptor = _opened(path)
+        descriptor = _opened(path, holder)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             os.close(descriptor)
-            held = holder_of(path)
-            who = held.sentence() if held else "a process that gave no name"
-            raise BusyError(
-                f"{holder.what} cannot have {path.name}: it is held by {who}. Wait until that has "
-                "ended, or stop it."
-            ) from error
+            raise _busy(path, holder) from error
         if _is_still(path, descriptor):
             lock = Lock(path, descriptor)
             lock.name(holder)
@@ -117,14 +113,40 @@ def holding_rig(bus: Bus, what: str) -> Iterator[Lock]:
         lock.release()
 
 
-def _opened(path: Path) -> int:
+def _busy(path: Path, holder: Holder) -> BusyError:
+    held = holder_of(path)
+    who = held.sentence() if held else "a process that gave no name"
+    return BusyError(
+        f"{holder.what} cannot have {path.name}: it is held by {who}. Wait until that has ended, "
+        "or stop it."
+    )
+
+
+def _opened(path: Path, holder: Holder) -> int:
     try:
         return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     except OSError as error:
+        if isinstance(error, PermissionError) and _another_holds(path):
+            raise _busy(path, holder) from error
         raise ConfigError(
             f"the lock {path} cannot be opened: {error.strerror}. Where another user has left it, "
             "that user or root must remove it."
         ) from error
+
+
+def _another_holds(path: Path) -> bool:
+    """Whether a file that only another user may write is locked: reading is enough to ask."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
 
 
 def _is_still(path: Path, descriptor: int) -> bool:

@@ -2,7 +2,9 @@
 
 import json
 import math
-from collections.abc import Iterator
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -11,10 +13,13 @@ from typer.testing import CliRunner
 from drivers.canopen.budget import bus_budget, frame_bits
 from drivers.errors import DriveError
 from servo_bench.cli.app import app
+from servo_bench.cli.doctor import _move
 from servo_bench.errors import WireError
+from servo_bench.excitation.experiment import Experiment
 from servo_bench.rig import RigConfig, load_rig
 from servo_bench.run.doctor import canopen, host, modbus, move
 from servo_bench.run.finding import Finding, Level
+from servo_bench.run.session import RunSummary
 from sim_rig.process import spawn
 from tests.fake_canopen import U16, Entry, FakeRig
 
@@ -187,6 +192,56 @@ def test_the_torque_limit_is_lowered_and_given_back(
     fake.drive[0x6072, 0] = 200
     with canopen.lowered_torque(settings, 300):
         assert fake.drive[0x6072, 0] == 200, "never raised"
+
+
+def test_a_torque_limit_that_cannot_be_given_back_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake = FakeRig(tmp_path, monkeypatch)
+    fake.drive.objects[0x6072, 0] = Entry(U16, 1500)
+    left = r"is gone.* 0x6072 may still be 300 per mille, was 1500: write it back\."
+    with pytest.raises(WireError, match=left), canopen.lowered_torque(fake.settings(), 300):
+        fake.world.dead = True
+
+
+def test_whoever_is_interrupted_while_lowering_the_torque_gives_it_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake = FakeRig(tmp_path, monkeypatch)
+    fake.drive.objects[0x6072, 0] = Entry(U16, 1500)
+    on_write = fake.drive.on_write
+
+    def interrupt(index: int, sub: int, value: int) -> None:
+        on_write(index, sub, value)
+        if (index, value) == (0x6072, 300):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(fake.drive, "on_write", interrupt)
+    with pytest.raises(KeyboardInterrupt), canopen.lowered_torque(fake.settings(), 300):
+        pytest.fail("entered")
+    assert fake.drive[0x6072, 0] == 1500
+
+
+def test_a_signal_ends_the_move_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    left = []
+
+    @contextmanager
+    def lowered(rig: RigConfig, _period_s: float) -> Iterator[tuple[RigConfig, Finding]]:
+        yield rig, Finding(Level.OK, "torque limit", "lowered")
+        left.append("given back")
+
+    def interrupted(
+        plan: Experiment, _: RigConfig, out: Path, *, stop: Callable[[], bool], **__: object
+    ) -> RunSummary:
+        signal.raise_signal(signal.SIGINT)
+        assert stop()
+        return RunSummary(out, plan.schedule().slots, 0, 0, stopped_early=True)
+
+    monkeypatch.setattr(move, "_lowered", lowered)
+    monkeypatch.setattr(move, "run", interrupted)
+    told = _move(load_rig("rigs/paper.toml"), PERIOD_S, [], yes=True)
+    assert "(Ctrl-C): repeat it." in stops(told)["move"]
+    assert left == ["given back"]
 
 
 def test_a_second_bench_ends_the_examination(

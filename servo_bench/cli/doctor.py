@@ -10,6 +10,7 @@ from rich.console import Console
 from drivers.canopen.settings import CanopenSettings
 from servo_bench.cli.findings import conclude, show
 from servo_bench.cli.rig import DEFAULT_RIG
+from servo_bench.cli.stopping import asked_to_stop
 from servo_bench.errors import BenchError
 from servo_bench.rig import RigConfig, load_rig
 from servo_bench.run.axes import axis_settings
@@ -75,6 +76,7 @@ def _move(rig: RigConfig, period_s: float, findings: list[Finding], *, yes: bool
     if not yes and not typer.confirm(move.words(rig), err=True):
         return [move.advice()]
     try:
-        return move.examine(rig, period_s)
+        with asked_to_stop() as asked:  # the drive's torque limit must be given back
+            return move.examine(rig, period_s, stop_asked=asked, stopped_by=lambda: asked.by)
     except BenchError as error:
         return [stop("move", str(error))]

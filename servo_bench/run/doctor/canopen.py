@@ -17,7 +17,7 @@ from drivers.canopen.settings import CanopenSettings, EncoderSettings, bit_rate
 from drivers.canopen.setup import identify, open_drive, open_encoder
 from drivers.canopen.units import check_ratios, rated_torque_nm
 from drivers.errors import DriverError
-from servo_bench.errors import gathered
+from servo_bench.errors import BenchError, gathered
 from servo_bench.run.finding import Finding, change, note, ok, stop
 
 LISTEN_S = 0.25
@@ -248,24 +248,31 @@ def _encoder(node: Node, encoder: EncoderSettings) -> list[Finding]:
 def lowered_torque(settings: CanopenSettings, per_mille: int) -> Iterator[Finding]:
     """The drive's torque limit (0x6072) lowered while the block runs, where it has one.
 
-    Errors as `opened`, and DriveError where the drive refuses or does not take its own value back.
+    Errors as `opened`, and DriveError where the drive refuses or does not take its own value back;
+    what it may then still have is said.
     """
     with opened(settings) as line:
         node = open_drive(line, settings.drive)
         before = node.read(0x6072) if node.writable(0x6072) else None
-        if before is not None:
-            lowered = min(per_mille, before)
-            node.configure(0x6072, 0, lowered)
     if before is None:
         yield note("torque limit", "the drive has no 0x6072 to lower: limits.torque_nm trips.")
         return
+    lowered = min(per_mille, before)
     try:
-        yield ok(
-            "torque limit", f"0x6072 lowered from {before} to {min(per_mille, before)} 1/1000."
-        )
+        _limit_torque(settings, lowered)
+        yield ok("torque limit", f"0x6072 lowered from {before} to {lowered} 1/1000.")
     finally:
-        with opened(settings) as line:
-            open_drive(line, settings.drive).configure(0x6072, 0, before)
+        try:
+            _limit_torque(settings, before)
+        except BenchError as error:
+            raise type(error)(
+                f"{error} 0x6072 may still be {lowered} per mille, was {before}: write it back."
+            ) from error
+
+
+def _limit_torque(settings: CanopenSettings, per_mille: int) -> None:
+    with opened(settings) as line:
+        open_drive(line, settings.drive).configure(0x6072, 0, per_mille)
 
 
 def rated_nm(settings: CanopenSettings) -> float | None:

@@ -12,7 +12,7 @@ An encoder with a wrong sign trips (`drivers.plausible`) before the shaft has go
 
 import math
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -30,7 +30,7 @@ from servo_bench.run.axes import axis_settings
 from servo_bench.run.doctor import canopen
 from servo_bench.run.finding import Finding, change, note, ok, stop
 from servo_bench.run.preflight import rated_torque_nm
-from servo_bench.run.session import run
+from servo_bench.run.session import OPERATOR, run
 
 SPEED_RAD_S = math.radians(15.0)
 TRAVEL_RAD = math.radians(30.0)
@@ -66,16 +66,28 @@ def there_and_back(period_s: float) -> Experiment:
     )
 
 
-def examine(rig: RigConfig, period_s: float) -> list[Finding]:
-    """Move and judge. Raises BenchError where the drive cannot even be prepared."""
+def examine(
+    rig: RigConfig,
+    period_s: float,
+    *,
+    stop_asked: Callable[[], bool] = lambda: False,
+    stopped_by: Callable[[], str] = lambda: OPERATOR,
+) -> list[Finding]:
+    """Move and judge; what is asked as in `run`. Raises BenchError where the drive cannot even be
+    prepared, or is not left as it was found."""
+    stopped_early = False
     with _lowered(rig, period_s) as (careful, finding), tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "move.mcap"
         ended: BenchError | None = None
         try:
-            run(there_and_back(period_s), careful, out)
+            move = there_and_back(period_s)
+            done = run(move, careful, out, stop=stop_asked, stopped_by=stopped_by)
+            stopped_early = done.stopped_early
         except BenchError as error:
             ended = error
         recording = load(out, allow_cut=True) if out.exists() else None
+    if stopped_early:
+        return [finding, stop("move", f"it was ended by {stopped_by()}: repeat it.")]
     return [finding, *judge(recording, careful, ended)]
 
 

@@ -275,6 +275,15 @@ REFUSALS: list[tuple[type[BenchError], str, dict[str, dict[str, object]]]] = [
 ]
 
 
+@pytest.mark.long
+def test_no_module_out_of_the_working_folder_gets_into_the_bus_process(
+    rig: RigConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "can.py").write_text("raise SystemExit('a stranger')")
+    assert run(experiment(0.2), rig, tmp_path / "run.mcap").played > 0
+
+
 @pytest.mark.parametrize(("error", "words", "change"), REFUSALS, ids=[row[1] for row in REFUSALS])
 def test_what_cannot_be_played_is_refused_and_leaves_no_file(
     rig: RigConfig,

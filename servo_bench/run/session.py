@@ -156,7 +156,8 @@ class _Loop:
 
     def __enter__(self) -> "_Loop":
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "servo_bench.run.busloop", str(os.getpid())],
+            # -P: no module out of the working folder, where somebody may have a `can.py`
+            [sys.executable, "-P", "-m", "servo_bench.run.busloop", str(os.getpid())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             pass_fds=(self._job.descriptor,),

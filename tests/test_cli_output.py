@@ -10,6 +10,11 @@ from servo_bench.cli.output import check_outputs, write_bytes
 from servo_bench.errors import ConfigError
 
 
+def test_a_name_that_no_file_can_have_is_said(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be written: File name too long"):
+        check_outputs(tmp_path / ("a" * 300))
+
+
 def test_a_full_disk_leaves_no_half_of_a_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

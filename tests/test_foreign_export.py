@@ -87,6 +87,16 @@ def test_what_was_exported_can_be_imported(run: Recording, tmp_path: Path, kind:
     np.testing.assert_array_equal(back["t_s"], _wanted(run)["t_s"])
 
 
+def test_a_channel_may_be_called_as_numpys_own_parameters_are(
+    run: Recording, tmp_path: Path
+) -> None:
+    taken = {name: np.arange(3.0) for name in ("file", "allow_pickle", "t_s")}
+    export(replace(run, channels=taken), tmp_path / "a.npz", "npz")
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as archive:
+        assert sorted(archive.files) == sorted(taken)
+        assert (archive["file"] == taken["file"]).all()
+
+
 def test_a_run_without_asks_gets_its_times_from_the_slots(run: Recording, tmp_path: Path) -> None:
     channels = {name: values for name, values in run.channels.items() if name != "asked_ns"}
     export(replace(run, channels=channels), tmp_path / "a.npz", "npz")

@@ -117,6 +117,22 @@ def test_recovery_overwrites_nothing(tmp_path: Path) -> None:
     assert path.read_bytes() == whole()
 
 
+def test_recovery_that_is_interrupted_leaves_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, out = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    path.write_bytes(whole())
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("servo_bench.recording.recover._copy_messages", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            recover(path, out)
+    assert recover(path, out).samples > 0
+
+
 def test_recovery_of_a_file_without_samples_leaves_no_file(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     for length in (0, 8, 60, 3000):

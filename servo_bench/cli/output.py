@@ -18,7 +18,11 @@ def check_outputs(*paths: Path | None) -> None:
     for path in named:
         if named.count(path) > 1:
             raise ConfigError(f"{path} is named for two outputs: give each a file of its own.")
-        if path.exists():
+        try:
+            is_there = path.exists()
+        except OSError as error:  # a name that is too long
+            raise _cannot_be_written(path, error.strerror) from error
+        if is_there:
             raise ConfigError(f"{path} exists already: name another file, or move it away.")
         if not path.parent.is_dir():
             raise _cannot_be_written(path, "its folder is not there")

@@ -6,6 +6,7 @@ integers have no other word for it. A run, which has slots instead, gets `t_s` a
 
 import csv
 import io
+import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -101,8 +102,11 @@ def _cells(values: NDArray[Any]) -> list[Any]:
 
 
 def _write_npz(columns: Columns, file: IO[bytes]) -> None:
-    arrays: dict[str, Any] = dict(columns)
-    np.savez_compressed(file, **arrays)
+    # not by numpy's `savez_compressed`: a channel may be called as one of its own parameters
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, values in columns.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, values, allow_pickle=False)
 
 
 def _write_mat(columns: Columns, file: IO[bytes]) -> None:

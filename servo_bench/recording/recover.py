@@ -69,8 +69,10 @@ def _write(target: Path, items: Iterable[Item]) -> None:
     try:
         _copy(items, sink)
         sink.sync()
-    except OSError as error:
-        target.unlink()
+    except BaseException as error:  # half a file is none, and would stand in the next one's way
+        target.unlink(missing_ok=True)
+        if not isinstance(error, OSError):
+            raise
         raise RecordingError(
             f"{target} cannot be written: {error.strerror}. Make room, or give another folder."
         ) from error

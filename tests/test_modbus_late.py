@@ -266,6 +266,20 @@ def test_an_axis_that_was_not_entered_says_so() -> None:
         axis.command(0.0, 0)
 
 
+def test_a_command_of_the_masters_own_is_told_as_no_slot() -> None:
+    install_lines()
+    world = VirtualModbus("own", load_rig("rigs/modbus-rtu.toml"))
+    try:
+        with world.axis() as axis:
+            for slot in (-3, -2, -1):  # at once: the line carries the first only
+                axis.command(0.0, slot)
+            told = [event.text for event in axis.events() if event.kind == "slot not sent"]
+    finally:
+        world.close()
+    assert len(told) == 1
+    assert "a command of the bench's own was not sent" in told[0]
+
+
 def test_after_a_loss_that_is_noticed_as_late_as_can_be_another_length_is_asked_for() -> None:
     """Nobody looks at the line while the time-out passes: the next command is what notices it."""
     install_lines()

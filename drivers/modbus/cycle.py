@@ -45,6 +45,11 @@ class _Ask:
     sampled_ns: int | None = None
     values: dict[str, Number] = field(default_factory=dict)
 
+    @property
+    def words(self) -> str:
+        """Which slot it is; one below 0 is a cycle that the master makes for itself."""
+        return f"slot {self.slot}" if self.slot >= 0 else "a command of the bench's own"
+
 
 class Cycle:
     """Commands and samples of one axis that is set up.
@@ -150,7 +155,7 @@ class Cycle:
             ask.done = True
             self._tell(
                 "slot not sent",
-                f"{self.link.name} had not answered in time: slot {ask.slot} was not sent, the "
+                f"{self.link.name} had not answered in time: {ask.words} was not sent, the "
                 "drive keeps its velocity.",
             )
 
@@ -206,7 +211,7 @@ class Cycle:
         waited_ms = (self._clock.now_ns() - ask.asked_ns) * 1e-6
         self._tell(
             "answer lost",
-            f"{self.link.name} did not answer slot {ask.slot} within {waited_ms:.1f} ms; an answer "
+            f"{self.link.name} did not answer {ask.words} within {waited_ms:.1f} ms; an answer "
             "that comes now is thrown away.",
         )
         self._settle(ask)

@@ -21,7 +21,7 @@ from servo_bench.errors import BenchError, LimitError
 from servo_bench.errors import WireError as BenchWireError
 from servo_bench.rig import Limits, RigConfig, load_rig
 from servo_bench.run.judge import KINDS, Judge
-from servo_bench.run.limits import Guard, check_missed
+from servo_bench.run.limits import DEVICE_TIME_RANGE_US, Guard, check_missed
 from servo_bench.run.rows import read_sample, write_answer
 from servo_bench.run.supervisor import STALE_S, check_watched
 from servo_bench.run.table import SlotTable, Stage, Trip
@@ -315,6 +315,40 @@ def test_a_counter_beside_the_drive_is_not_judged_by_the_drives_clock() -> None:
         assert guard.breach(sample) is None
     turned = replace(sample, load_angle_rad=2.0, load_sampled_ns=(4 * 10 + 1) * 1_000_000)
     assert "load's velocity reached" in (guard.breach(turned) or "")
+
+
+@pytest.mark.parametrize("rate", [10.0, 1.0, 0.5, -1.0])
+def test_a_velocity_is_a_breach_whatever_the_devices_clock_says(rate: float) -> None:
+    """Its clock may be fast, slow, or run backwards; a slot's answer comes 1 ms after its ask."""
+    limits = Limits(velocity_rad_s=1.0, travel_rad=50.0, run_time_s=100.0)
+    guard = Guard(limits, 0.010, 0)
+
+    def sample(slot: int, velocity_rad_s: float) -> Sample:
+        asked_ns = slot * 10_000_000
+        return Sample(
+            slot,
+            asked_ns,
+            drive_answered_ns=asked_ns + 1_000_000,
+            device_time_us=round(slot * 10_000 * rate) % DEVICE_TIME_RANGE_US,
+            load_angle_rad=velocity_rad_s * slot * 0.010,
+        )
+
+    assert guard.breach(sample(0, 1.2)) is None
+    assert "load's velocity reached" in (guard.breach(sample(1, 1.2)) or "")
+
+
+def test_a_sync_of_the_drive_that_is_seen_late_is_no_velocity() -> None:
+    """The bench was away for two slots, and their SYNCs and answers were waiting for it."""
+    guard = Guard(Limits(velocity_rad_s=1.0, travel_rad=50.0, run_time_s=100.0), 0.010, 0)
+    for slot, seen_ms in enumerate((0, 10, 39, 39, 40)):
+        sample = Sample(
+            slot,
+            seen_ms * 1_000_000,
+            drive_answered_ns=seen_ms * 1_000_000,
+            device_time_us=slot * 10_000,
+            motor_position_rad=0.95 * slot * 0.010,
+        )
+        assert guard.breach(sample) is None
 
 
 def test_the_loop_stops_when_nobody_watches_it() -> None:

@@ -80,7 +80,9 @@ class Guard:
     between the two samples: for a load whose counter is asked beside the drive, between when its
     counts were taken; else by the device's own clock where both came with one, or the longer of the
     time between the asks and the time between the answers. It is half a period at the least, so
-    that a frame that was held up on its way is no velocity.
+    that a frame that was held up on its way is no velocity. A device's clock is believed as far as
+    the bench's own allows: a sample is taken after its ask and before its answer, and where the
+    drive produces SYNC, which is seen late, slots tell the time.
     """
 
     limits: Limits
@@ -140,7 +142,9 @@ class Guard:
         if taken_ns[0] is not None and taken_ns[1] is not None:
             elapsed_s = (taken_ns[1] - taken_ns[0]) / NS_PER_S
         elif then.device_time_us is not None and now.device_time_us is not None:
-            elapsed_s = ((now.device_time_us - then.device_time_us) % DEVICE_TIME_RANGE_US) * 1e-6
+            told_s = ((now.device_time_us - then.device_time_us) % DEVICE_TIME_RANGE_US) * 1e-6
+            longest_s = (_answered(now) - then.asked_ns) / NS_PER_S
+            elapsed_s = min(told_s, max(longest_s, (now.slot - then.slot) * self.period_s))
         else:
             elapsed_s = (
                 max(now.asked_ns - then.asked_ns, _answered(now) - _answered(then)) / NS_PER_S

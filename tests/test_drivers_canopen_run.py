@@ -2,6 +2,7 @@
 
 import itertools
 import logging
+import os
 from collections.abc import Callable
 from contextlib import suppress
 from itertools import pairwise
@@ -11,11 +12,13 @@ import can
 import pytest
 
 from drivers.axis import Sample, WireEvent
+from drivers.canopen.line import Line, open_bus
 from drivers.canopen.master import CanopenAxis
 from drivers.canopen.profile import Stopping, generic
 from drivers.errors import SettingsError, WireError
 from tests.contract_axis import check_axis
 from tests.fake_canopen import FakeRig
+from tests.modbus_peer import pty
 
 PERIOD_S = 0.008
 PERIOD_NS = 8_000_000
@@ -364,6 +367,18 @@ def test_a_garbled_line_of_text_is_passed_over(
         run.play(6)
     assert [sample.slot for sample in run.samples] == list(range(6))
     assert all(sample.motor_position_counts is not None for sample in run.samples)
+
+
+@pytest.mark.parametrize("garbled", [b"t18Z2AABB\r", b"t1\r", b"t1812AA\xffB\r"])
+def test_a_damaged_byte_on_slcans_serial_line_costs_one_frame(garbled: bytes) -> None:
+    with pty() as (near, device):
+        options = {"interface": "slcan", "channel": device, "sleep_after_open": 0.0}
+        line = Line(open_bus(options))
+        os.write(near, garbled + b"t1812AABB\r")
+        frames = [line.read(0.1) for _ in range(2)]
+        line.close()
+    (frame,) = [it for it in frames if it is not None]
+    assert (frame.arbitration_id, bytes(frame.data)) == (0x181, b"\xaa\xbb")
 
 
 def test_a_line_that_is_garbled_for_good_ends_in_words(

@@ -139,16 +139,25 @@ class Line:
         """The next frame; None where none came in time. WireError if the bus dies.
 
         One that is garbled is as good as lost: slcan and its like read lines of text, and a byte
-        that was damaged on the serial line makes python-can raise what `int` and `str` do.
+        that was damaged on the serial line makes python-can raise what `int` and `decode` do.
         """
         for _ in range(_GARBLED):
             try:
                 return self.bus.recv(timeout_s)
             except (ValueError, IndexError):
-                timeout_s = 0.0  # what has come already; whoever waits on looks at the clock
+                pass
             except (can.CanError, OSError) as error:
-                raise self.broken(error) from error
+                if not isinstance(error.__cause__, UnicodeDecodeError):
+                    raise self.broken(error) from error
+                self._forget_line()
+            timeout_s = 0.0  # what has come already; whoever waits on looks at the clock
         return None
+
+    def _forget_line(self) -> None:
+        """Text that cannot be decoded: python-can's slcan would keep it and fail at it for ever."""
+        text = getattr(self.bus, "_buffer", None)
+        if isinstance(text, bytearray):
+            text.clear()
 
     def close(self) -> None:
         """Close the bus. One that is gone cannot be closed in order, and that is no news."""

@@ -29,9 +29,13 @@ SQLITE_DISK_FULL = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_SHMSIZE)
 
 
 class BenchError(Exception):
-    """Anything the bench raises on purpose."""
+    """Anything the bench raises on purpose. Its words are its message and its notes."""
 
     exit_code = 1
+
+    def __str__(self) -> str:
+        """Whoever tells what ended a run tells whether the drive confirmed its stop, too."""
+        return _words(super().__str__(), self)
 
 
 class ConfigError(BenchError):
@@ -105,7 +109,11 @@ def gathered() -> Iterator[None]:
 
 def _as(kind: type[BenchError], error: Exception) -> BenchError:
     """The bench's own error with the words of another; notes become part of them."""
-    return kind(" ".join([str(error), *getattr(error, "__notes__", ())]))
+    return kind(_words(str(error), error))
+
+
+def _words(message: str, error: Exception) -> str:
+    return " ".join([message, *getattr(error, "__notes__", ())])
 
 
 def disk_is_full(error: BaseException) -> bool:

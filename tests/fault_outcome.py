@@ -37,8 +37,7 @@ class Outcome:
         if error is None:
             self.cause, self.text = GOES_ON, ""
             return
-        notes = " ".join([str(error), *getattr(error, "__notes__", ())])
-        self.cause, self.text = self.fatal or (type(error).__name__, notes)
+        self.cause, self.text = self.fatal or (type(error).__name__, str(error))
 
     @property
     def named(self) -> bool:

@@ -20,6 +20,7 @@ from drivers.errors import DriveError, DriverError, WireError
 from drivers.modbus.link import Reply
 from drivers.modbus.stopping import stop_over
 from servo_bench.errors import DriveError as BenchDriveError
+from servo_bench.errors import LimitError, gathered
 from servo_bench.rig import load_rig
 from servo_bench.run import busloop
 from servo_bench.run.busloop import Job, player_for, run_job
@@ -122,6 +123,38 @@ def test_the_loop_is_over_where_the_drive_confirmed_its_stop_and_there_only(
         with pytest.raises(BenchDriveError):
             run_job(Job(plan, paper_rig(), table.descriptor), table)
         assert table.stage is stage
+
+
+def test_whatever_ended_a_run_its_words_tell_that_the_drive_did_not_confirm_its_stop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The player's own errors are the bench's already when they meet the axis that is left."""
+
+    class Unconfirmed(LeftAxis):
+        def __exit__(
+            self,
+            kind: type[BaseException] | None,
+            error: BaseException | None,
+            trace: TracebackType | None,
+        ) -> None:
+            if error is not None:
+                error.add_note("drive 1 did not confirm its stop.")
+
+        def command(self, velocity_rad_s: float, slot: int) -> int:
+            raise LimitError("the load's travel reached 91 deg.")
+
+    monkeypatch.setattr(busloop, "open_axis", lambda rig, period_s: Unconfirmed(confirmed=False))
+    monkeypatch.setattr(busloop, "make_punctual", lambda priority: ())
+    monkeypatch.setattr(busloop, "tell", lambda *_, **__: None)
+    plan = experiment()
+    with (
+        SlotTable.create(plan.schedule().slots) as table,
+        pytest.raises(LimitError) as raised,
+        gathered(),
+    ):
+        run_job(Job(plan, paper_rig(), table.descriptor), table)
+    words = "the load's travel reached 91 deg. drive 1 did not confirm its stop."
+    assert str(raised.value) == words
 
 
 @pytest.fixture

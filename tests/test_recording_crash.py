@@ -6,12 +6,17 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Self
 
 import pytest
 
-from servo_bench.errors import RecordingError
+from servo_bench.errors import RecordingError, WireError
 from servo_bench.recording import sink
 from servo_bench.recording.mcap_file import RecordingWriter, load, recover
+from servo_bench.recording.recording import Event
+from servo_bench.run import session
+from tests import small_runs
 from tests.recording_files import EVENT, EXPERIMENT, FACTS, RIG, rows
 
 ROWS_PER_S = 125
@@ -193,3 +198,65 @@ def test_a_full_disk_does_not_hide_what_ended_the_run(
     with pytest.raises(KeyError) as caught:
         run()
     assert "No space left" in caught.value.__notes__[0]
+
+
+class ToldLoop:
+    """A bus loop that says one thing after another, and has ended when all is said."""
+
+    stop_takes_s = 60.0
+
+    def __init__(self, *told: tuple[str, str]) -> None:
+        self.told = list(told)
+        self.process = SimpleNamespace(returncode=1)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    @property
+    def ended(self) -> bool:
+        return not self.told
+
+    over = ended
+
+    def events(self, timeout_s: float) -> list[session.Told]:
+        now, self.told = self.told[:1], self.told[1:]
+        return [(Event(1, kind, text, {}), kind == "error") for kind, text in now]
+
+
+def run_onto_a_disk_that_fills(
+    loop: ToldLoop, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Run with a disk that is full once the first word has been written."""
+    with monkeypatch.context() as patch:
+        patch.setattr(session, "_Loop", lambda job: loop)
+        session.run(
+            small_runs.experiment(),
+            small_runs.paper_rig(),
+            folder / "a.mcap",
+            progress=lambda _: patch.setattr(sink.os, "write", SmallDisk(0)),
+        )
+
+
+def test_a_full_disk_does_not_hide_that_the_rig_did_not_confirm_its_stop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loop = ToldLoop(
+        ("playing", "the drive is enabled"),
+        ("answer lost", "the first that the disk refuses"),
+        ("error", "drive 1 did not confirm its stop."),
+        ("supervisor's stop", "nobody answers."),
+    )
+    with pytest.raises(RecordingError, match="No space left") as raised:
+        run_onto_a_disk_that_fills(loop, tmp_path, monkeypatch)
+    assert loop.over, "it was heard to its end"
+    assert str(raised.value).endswith("Of the rig: drive 1 did not confirm its stop.")
+
+
+def test_a_disk_that_is_full_at_the_end_does_not_hide_what_ended_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loop = ToldLoop(("playing", "the drive is enabled"))
+    with pytest.raises(WireError, match=r"ended without a word.*No space left"):
+        run_onto_a_disk_that_fills(loop, tmp_path, monkeypatch)

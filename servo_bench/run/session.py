@@ -12,6 +12,7 @@ import select
 import signal
 import subprocess
 import sys
+from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 
 from servo_bench import errors
 from servo_bench.clock import NS_PER_S, monotonic_ns
-from servo_bench.errors import BenchError, ConfigError, WireError
+from servo_bench.errors import BenchError, ConfigError, RecordingError, WireError
 from servo_bench.excitation.experiment import Experiment, Phase, Schedule
 from servo_bench.excitation.sequences import FieldSequence, FromRecording, InverseRepeat
 from servo_bench.kernels.shifts import collision_free_memory
@@ -111,10 +112,14 @@ def run(
         try:
             with writer:
                 with _Loop(Job(experiment, rig, table.descriptor, priority, cpu)) as loop:
-                    watch.until_over(loop, stop, stopped_by)
+                    try:
+                        watch.until_over(loop, stop, stopped_by)
+                    except BaseException as failure:
+                        watch.hear_out(loop, failure)
+                        raise
                 error = watch.what_ended_it(loop)
                 delays = alignment(table.rows[table.rows["slot"] != UNPLAYED])
-                writer.alignment(delays)
+                watch.close(error, delays)
         finally:
             if watch.played == 0:
                 out.unlink(missing_ok=True)
@@ -245,6 +250,7 @@ class _Watch:
         self._progress = progress
         self._samples_per_slot = max(1, table.fast.size // max(schedule.slots, 1))
         self._written = 0
+        self._unwritten: deque[Event] = deque()
         self._ending: Event | None = None
         self._supervisors_stop = "has not said whether the drive stands: see that it does"
         self.played = 0
@@ -267,8 +273,9 @@ class _Watch:
             over = loop.over  # asked first, so that the last pass sees all it left
             if ended_ns is None and loop.ended:
                 ended_ns = monotonic_ns()
-            for event, is_end in loop.events(0.0 if over else WRITE_EVERY_S):
-                self._note(event, is_end=is_end)
+            self._listen(loop, over=over)
+            while self._unwritten:
+                self._writer.event(self._unwritten.popleft())
             status = self._status()  # taken first: what the operator sees is recorded by then
             self._write_rows()
             self._progress(status)
@@ -281,8 +288,34 @@ class _Watch:
         if asked_ns is not None and not named:
             self._writer.event(_stop_event(asked_ns, OPERATOR))
 
+    def hear_out(self, loop: _Loop, error: BaseException) -> None:
+        """Stop the rig, and wait for its end without writing, which may be what has failed; an end
+        that is not a good one becomes a note of `error`."""
+        patience_ns = round(loop.stop_takes_s * NS_PER_S)
+        self._table.ask_stop()
+        asked_ns = monotonic_ns()
+        ended_ns: int | None = None
+        over = False
+        while not over and not _past(ended_ns or asked_ns, patience_ns):
+            over = loop.over  # asked first, as above
+            if ended_ns is None and loop.ended:
+                ended_ns = monotonic_ns()
+            self._listen(loop, over=over)
+        if ended_ns is None:
+            error.add_note(
+                f"The bus process did not end within {loop.stop_takes_s:g} s of being asked to "
+                "stop: see that the drive stands."
+            )
+        elif (end := self.what_ended_it(loop)) is not None:
+            error.add_note(f"Of the rig: {end}")
+
+    def _listen(self, loop: _Loop, *, over: bool) -> None:
+        """Take what was said before any of it is written: a disk may refuse the first of it."""
+        for event, is_end in loop.events(0.0 if over else WRITE_EVERY_S):
+            self._unwritten.append(event)
+            self._note(event, is_end=is_end)
+
     def _note(self, event: Event, *, is_end: bool) -> None:
-        self._writer.event(event)
         if is_end:
             self._ending = event
         elif event.kind == "not punctual":
@@ -321,18 +354,26 @@ class _Watch:
         return recent if recent.size else np.zeros(1)
 
     def what_ended_it(self, loop: _Loop) -> BenchError | None:
-        """What the loop reported, or what its exit status means, kept as an event in any case;
-        None after a good run."""
+        """What the loop reported, or what its exit status means; None after a good run."""
+        if self._ending is None:
+            return self._unreported(loop.process.returncode)
         trip = self._table.trip
-        if self._ending is not None:
-            unsaid = trip is None or trip.kind != "stop unconfirmed"
-            more = "" if unsaid else f" The safety supervisor: {self._supervisors_stop}."
-            return _error_class(self._ending)(f"{self._ending.text}{more}")
-        error = self._unreported(loop.process.returncode)
-        if error is not None:
-            data = {"error": type(error).__name__}
-            self._writer.event(Event(monotonic_ns(), "error", str(error), data))
-        return error
+        unsaid = trip is None or trip.kind != "stop unconfirmed"
+        more = "" if unsaid else f" The safety supervisor: {self._supervisors_stop}."
+        return _error_class(self._ending)(f"{self._ending.text}{more}")
+
+    def close(self, error: BenchError | None, delays: tuple[Delay, ...]) -> None:
+        """Write the last words: what ended the run, where the loop has not said it, and when the
+        samples were. A disk that refuses them hides no other end."""
+        try:
+            if error is not None and self._ending is None:
+                data = {"error": type(error).__name__}
+                self._writer.event(Event(monotonic_ns(), "error", str(error), data))
+            self._writer.alignment(delays)
+        except RecordingError as failure:
+            if error is None:
+                raise
+            error.add_note(str(failure))
 
     def _unreported(self, status: int) -> BenchError | None:
         trip = self._table.trip

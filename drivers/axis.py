@@ -6,7 +6,7 @@ late it comes. A sample is taken *at* the ask: on a CiA 402 drive `motor_positio
 k is the position at SYNC k, before the command of slot k has acted.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
@@ -53,6 +53,15 @@ class WireEvent:
     kind: str
     text: str
     fatal: bool = False
+
+
+StopAsked = Callable[[], bool]
+"""Whether whoever enters an axis wants it stopped by now."""
+
+
+def never() -> bool:
+    """No stop is asked."""
+    return False
 
 
 class Axis(Protocol):

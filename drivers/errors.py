@@ -4,7 +4,8 @@
     ├── SettingsError   the configuration asks for something this wire or drive cannot do
     ├── WireError       the bus, the cable, or a node on it does not answer
     │   └── SyncMissingError    the drive that is to produce SYNC does not
-    └── DriveError      the drive answered, and refused or faulted
+    ├── DriveError      the drive answered, and refused or faulted
+    └── StopAskedError  who enters the axis wants it no more; nothing is wrong
 
 A message says what happened, what was seen, what is allowed, and what to do next.
 """
@@ -28,3 +29,10 @@ class SyncMissingError(WireError):
 
 class DriveError(DriverError):
     """The drive answered, and refused or faulted."""
+
+
+class StopAskedError(DriverError):
+    """A stop was asked before the axis was entered."""
+
+    def __init__(self) -> None:
+        super().__init__("a stop was asked before the drive was ready: nothing was played.")

@@ -16,8 +16,10 @@ from drivers.canopen.node import NMT_STOP
 from drivers.canopen.settings import CanopenSettings
 from drivers.canopen.stopline import CanopenStopLine
 from drivers.clock import SYSTEM_CLOCK
-from drivers.errors import DriveError, DriverError, WireError
+from drivers.errors import DriveError, DriverError, StopAskedError, WireError
 from drivers.modbus.link import Reply
+from drivers.modbus.master import ModbusAxis
+from drivers.modbus.setup import Registers
 from drivers.modbus.stopping import stop_over
 from servo_bench.errors import DriveError as BenchDriveError
 from servo_bench.errors import LimitError, gathered
@@ -27,11 +29,14 @@ from servo_bench.run.busloop import Job, player_for, run_job
 from servo_bench.run.table import UNPLAYED, SlotTable, Stage
 from servo_bench.run.virtual_wire import VirtualWire
 from tests.small_runs import experiment, paper_rig
+from tests.virtual_line import install_lines
+from tests.virtual_modbus import VirtualModbus
 from tests.virtual_rig import VirtualRig, install
 
 PERIOD_S, PERIOD_NS = 0.008, 8_000_000
 LAST = 299
 SDO_ANSWER = 0x581
+ENABLE_OPERATION = 0x0F
 
 
 @pytest.mark.parametrize("fault", ["", "lost frames=drive-state at=295", "lost frames=load at=299"])
@@ -115,7 +120,7 @@ def test_the_loop_is_over_where_the_drive_confirmed_its_stop_and_there_only(
     monkeypatch: pytest.MonkeyPatch, confirmed: bool, stage: Stage, refused: bool
 ) -> None:
     axis = LeftAxis(confirmed, refused)
-    monkeypatch.setattr(busloop, "open_axis", lambda rig, period_s: axis)
+    monkeypatch.setattr(busloop, "open_axis", lambda *_: axis)
     monkeypatch.setattr(busloop, "make_punctual", lambda priority: ())
     monkeypatch.setattr(busloop, "tell", lambda *_, **__: None)
     plan = experiment()
@@ -123,6 +128,53 @@ def test_the_loop_is_over_where_the_drive_confirmed_its_stop_and_there_only(
         with pytest.raises(BenchDriveError):
             run_job(Job(plan, paper_rig(), table.descriptor), table)
         assert table.stage is stage
+
+
+def test_a_stop_that_is_asked_before_opens_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(busloop, "open_axis", lambda *_: pytest.fail("it was opened"))
+    monkeypatch.setattr(busloop, "make_punctual", lambda priority: ())
+    told: list[str] = []
+    monkeypatch.setattr(busloop, "tell", lambda kind, text: told.append(kind))
+    plan = experiment()
+    with SlotTable.create(plan.schedule().slots) as table:
+        table.ask_stop()
+        run_job(Job(plan, paper_rig(), table.descriptor), table)
+        assert (table.stage, told) == (Stage.OVER, ["stopping"])
+
+
+def test_a_stop_that_is_asked_during_set_up_does_not_enable_the_drive() -> None:
+    install()
+    rig = VirtualRig("asked")
+    axis = CanopenAxis(rig.canopen_settings(), rig.clock(), lambda: True)
+    with pytest.raises(StopAskedError, match="nothing was played"):
+        axis.__enter__()
+    assert ENABLE_OPERATION not in [data[0] for can_id, data in rig.sent if can_id == 0x201]
+    assert not axis.may_be_powered
+    assert rig.closed == 1
+
+
+@pytest.mark.parametrize("looks", [0, 1])
+def test_a_stop_that_is_asked_during_set_up_does_not_enable_a_modbus_drive(
+    monkeypatch: pytest.MonkeyPatch, looks: int
+) -> None:
+    install_lines()
+    rig = VirtualModbus(f"asked {looks}", load_rig("rigs/modbus-tcp.toml"))
+    steps: list[Any] = []
+    follow = Registers.follow
+    monkeypatch.setattr(
+        Registers,
+        "follow",
+        lambda self, what, *rest: steps.append(what) or follow(self, what, *rest),
+    )
+    settings = rig.axis()._settings  # type: ignore[attr-defined]
+    left = [False] * looks
+    axis = ModbusAxis(settings, rig.clock(), lambda: not left or left.pop())
+    with pytest.raises(StopAskedError):
+        axis.__enter__()
+    rig.close()
+    assert (settings.drive.profile.set_up in steps) == bool(looks)
+    assert settings.drive.profile.enable not in steps
+    assert not axis.may_be_powered
 
 
 def test_whatever_ended_a_run_its_words_tell_that_the_drive_did_not_confirm_its_stop(
@@ -143,7 +195,7 @@ def test_whatever_ended_a_run_its_words_tell_that_the_drive_did_not_confirm_its_
         def command(self, velocity_rad_s: float, slot: int) -> int:
             raise LimitError("the load's travel reached 91 deg.")
 
-    monkeypatch.setattr(busloop, "open_axis", lambda rig, period_s: Unconfirmed(confirmed=False))
+    monkeypatch.setattr(busloop, "open_axis", lambda *_: Unconfirmed(confirmed=False))
     monkeypatch.setattr(busloop, "make_punctual", lambda priority: ())
     monkeypatch.setattr(busloop, "tell", lambda *_, **__: None)
     plan = experiment()

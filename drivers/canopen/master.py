@@ -13,7 +13,7 @@ from statistics import median_low
 from types import TracebackType
 from typing import Self
 
-from drivers.axis import Sample, WireEvent
+from drivers.axis import Sample, StopAsked, WireEvent, never
 from drivers.canopen import cia402
 from drivers.canopen.budget import check_bus_load
 from drivers.canopen.cia402 import State
@@ -33,7 +33,13 @@ from drivers.canopen.stopping import stop_by_sdo
 from drivers.canopen.timing import check_period
 from drivers.canopen.watch import Watch
 from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import DriveError, DriverError, SyncMissingError, WireError
+from drivers.errors import (
+    DriveError,
+    DriverError,
+    StopAskedError,
+    SyncMissingError,
+    WireError,
+)
 
 _FAULT_RESET_S = 0.5
 _PROBES, _PROBING_S = 3, 0.3
@@ -53,14 +59,21 @@ def _middles(asked: Sequence[Mapping[str, float]]) -> dict[str, float]:
 class CanopenAxis:
     """One axis on CANopen; see `drivers.axis.Axis`.
 
-    Entering raises SettingsError, WireError, or DriveError and leaves nothing enabled. Leaving
+    Entering raises SettingsError, WireError, or DriveError, and StopAskedError where `stop_asked`
+    says so before the drive is enabled, and leaves nothing enabled. Leaving
     raises WireError where the drive did not confirm its stop and nothing else is being raised;
     otherwise that is added to the other exception as a note.
     """
 
-    def __init__(self, settings: CanopenSettings, clock: Clock = SYSTEM_CLOCK) -> None:
+    def __init__(
+        self,
+        settings: CanopenSettings,
+        clock: Clock = SYSTEM_CLOCK,
+        stop_asked: StopAsked = never,
+    ) -> None:
         self._settings = settings
         self._clock = clock
+        self._stop_asked = stop_asked
         self._period_ns = round(settings.period_s * 1e9)
         self._reset()
 
@@ -155,6 +168,8 @@ class CanopenAxis:
         reset_ns: int | None = None
         cleared = False
         while tick_ns - start_ns < drive.enable_timeout_s * 1e9:
+            if self._stop_asked():
+                raise StopAskedError
             tick_ns = self._tick(cycle, tick_ns)
             if self._watch.lost_node and self._watch.first_fatal is not None:
                 raise WireError(self._watch.first_fatal.text)

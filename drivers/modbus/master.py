@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Self
 
-from drivers.axis import Sample, WireEvent
+from drivers.axis import Sample, StopAsked, WireEvent, never
 from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import DriveError, WireError
+from drivers.errors import DriveError, StopAskedError, WireError
 from drivers.modbus import profile as names
 from drivers.modbus.cycle import Cycle
 from drivers.modbus.link import Link
@@ -26,15 +26,22 @@ from drivers.modbus.watch import Watch
 class ModbusAxis:
     """One axis on Modbus; see `drivers.axis.Axis`.
 
-    Entering raises SettingsError, WireError, or DriveError and leaves nothing enabled. Leaving
+    Entering raises SettingsError, WireError, or DriveError, and StopAskedError where `stop_asked`
+    says so before the drive is enabled, and leaves nothing enabled. Leaving
     raises WireError where the drive did not confirm its stop and nothing else is being raised;
     otherwise that is added to the other exception as a note.
     """
 
-    def __init__(self, settings: ModbusSettings, clock: Clock = SYSTEM_CLOCK) -> None:
+    def __init__(
+        self,
+        settings: ModbusSettings,
+        clock: Clock = SYSTEM_CLOCK,
+        stop_asked: StopAsked = never,
+    ) -> None:
         self._settings = settings
         self._profile = settings.drive.profile
         self._clock = clock
+        self._stop_asked = stop_asked
         self._reset()
 
     def _reset(self) -> None:
@@ -95,11 +102,13 @@ class ModbusAxis:
         until_ns = self._clock.now_ns() + round(settings.drive.enable_timeout_s * 1e9)
         registers.follow(profile.prepare, until_ns)
         self._refuse_a_drive_in_use(registers)
+        self._heed_stop()
         self.may_be_powered = True
         registers.follow(profile.set_up, until_ns)
         arm_watchdog(registers, settings, self._note)
         self._reset_fault(registers, until_ns)
         registers.write(names.TARGET, 0)
+        self._heed_stop()
         registers.follow(profile.enable, until_ns)
         status = registers.status()
         if not profile.bits.enabled.hold(status):
@@ -108,6 +117,10 @@ class ModbusAxis:
                 f"0x{status:04X}{registers.error_text()}. See its display and its enable input."
             )
         return Cycle(link, settings, scale, self._watch, self._clock)
+
+    def _heed_stop(self) -> None:
+        if self._stop_asked():
+            raise StopAskedError
 
     def _refuse_a_drive_in_use(self, registers: Registers) -> None:
         """Somebody else's drive is not taken over while it turns."""

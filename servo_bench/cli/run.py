@@ -100,7 +100,7 @@ def tell_summary(summary: RunSummary, console: Console) -> None:
     for sentence in summary.sentences:
         console.print(f"note: {sentence}", markup=False, soft_wrap=True)
     if summary.played == 0:
-        console.print("stopped before the drive was enabled: nothing was recorded.")
+        console.print("stopped before the first slot: nothing was recorded.")
         return
     ending = "stopped early" if summary.stopped_early else "complete"
     if summary.alignment:

@@ -1,6 +1,6 @@
 """Which axis a rig's drive is: the one place that knows every protocol."""
 
-from drivers.axis import Axis
+from drivers.axis import Axis, StopAsked, never
 from drivers.canopen.master import CanopenAxis
 from drivers.canopen.settings import CanopenSettings
 from drivers.canopen.stopline import CanopenStopLine
@@ -23,11 +23,14 @@ def axis_settings(rig: RigConfig, period_s: float) -> CanopenSettings | ModbusSe
     return rig.canopen_settings(period_s)
 
 
-def open_axis(rig: RigConfig, period_s: float) -> Axis:
-    """The rig's axis, not yet entered; ConfigError as `axis_settings`."""
+def open_axis(rig: RigConfig, period_s: float, stop_asked: StopAsked = never) -> Axis:
+    """The rig's axis, not yet entered; ConfigError as `axis_settings`. Entering it raises
+    StopAskedError where `stop_asked` says so before the drive is enabled."""
     settings, counter = axis_settings(rig, period_s), rig.counter_settings(period_s)
     axis: Axis = (
-        ModbusAxis(settings) if isinstance(settings, ModbusSettings) else CanopenAxis(settings)
+        ModbusAxis(settings, stop_asked=stop_asked)
+        if isinstance(settings, ModbusSettings)
+        else CanopenAxis(settings, stop_asked=stop_asked)
     )
     return axis if counter is None else AxisWithCounter(axis, counter)
 

@@ -27,6 +27,7 @@ from types import FrameType
 from typing import Any
 
 from drivers.axis import Axis, Sample
+from drivers.errors import StopAskedError
 from servo_bench.clock import NS_PER_S, Clock, monotonic_ns
 from servo_bench.devices import DriveConfig
 from servo_bench.errors import BenchError, ConfigError, LimitError, WireError, gathered
@@ -242,7 +243,10 @@ def player_for(
 
 
 def run_job(job: Job, table: SlotTable) -> None:
-    """Enable the rig, play, stop it. Raises BenchError; the axis is left stopped either way."""
+    """Enable the rig, play, stop it. Raises BenchError; the axis is left stopped either way.
+
+    A stop that is asked before the drive is enabled leaves it as it is.
+    """
     schedule = job.experiment.schedule()
     if job.cpu is not None:
         try:
@@ -257,7 +261,12 @@ def run_job(job: Job, table: SlotTable) -> None:
     table.stage = Stage.ENABLING
     axis: Axis | None = None
     try:
-        with gathered(), (axis := open_axis(job.rig, job.experiment.period_s)):
+        if table.stop_asked:
+            raise StopAskedError
+        with (
+            gathered(),
+            (axis := open_axis(job.rig, job.experiment.period_s, lambda: table.stop_asked)),
+        ):
             # the next period already: a drive that watches SYNC allows no pause after enabling
             start_ns = monotonic_ns() + round(job.experiment.period_s * NS_PER_S)
             tell("playing", "the drive is enabled", start_ns=start_ns)
@@ -269,6 +278,8 @@ def run_job(job: Job, table: SlotTable) -> None:
                 table.stage = Stage.STOPPING
             asked = table.stop_asked
             tell("stopping", "the last slot was played" if not asked else "asked to stop")
+    except StopAskedError as asked_before:
+        tell("stopping", " ".join([str(asked_before), *getattr(asked_before, "__notes__", ())]))
     finally:
         stopped = axis is None or not axis.may_be_powered
         table.stage = Stage.OVER if stopped else Stage.UNCONFIRMED

@@ -1,7 +1,9 @@
 """Watching the nodes while the axis runs: emergencies, reboots, heartbeats, statusword, strangers.
 
 Called with every frame that is no answer, and once per period. Keeps what happened until `drain`.
-An event of one kind and node is told once per run; duplicates and strangers are counted.
+What ends the trust in the axis is told once per run, kind and node, but for emergencies, which are
+told each; of what may come in every slot (answers lost, or not asked for) the first eight are told,
+and how many there were at the end; of frames that are nobody's the first eight COB-IDs.
 """
 
 import struct
@@ -23,7 +25,7 @@ _ERROR_CLASSES = (
     (0x80, "bus error"),
     (0x100, "controller restarted"),
 )
-_TOLD_STRANGERS = 8
+_TOLD = 8
 _ENABLED_MASK, _ENABLED = 0x6F, 0x27
 
 
@@ -40,13 +42,13 @@ class Watch:
         self.statusword_value = _ENABLED | follows
         self.lost_node = False
         self.first_fatal: WireEvent | None = None
-        self.strangers = 0
-        self.duplicates = 0
+        self._counts: dict[tuple[str, str], int] = {}
         self._timeout_ns = round(heartbeat_timeout_s * 1e9)
         self._last_heartbeat_ns: dict[str, int] = {}
         self._guarded: set[str] = set()
         self._events: list[WireEvent] = []
         self._told: set[tuple[str, str]] = set()
+        self._strangers: set[int] = set()
 
     def expect_heartbeat(self, name: str, now_ns: int, *, guarded: bool = False) -> None:
         """From now on this node must be heard within the timeout, by itself or when asked."""
@@ -67,6 +69,21 @@ class Watch:
         if fatal and self.first_fatal is None:
             self.first_fatal = event
 
+    def _tell_some(self, now_ns: int, kind: str, text: str, *, name: str) -> None:
+        """Add an event of what may come in every slot: the session could not take them all."""
+        count = self._counts.get((kind, name), 0) + 1
+        self._counts[kind, name] = count
+        if count <= _TOLD:
+            more = " Further ones are counted, not told." if count == _TOLD else ""
+            self.tell(now_ns, kind, text + more)
+
+    def tell_totals(self, now_ns: int) -> None:
+        """Tell how many there were of what was counted only at last."""
+        for (kind, name), count in self._counts.items():
+            if count > _TOLD:
+                text = f"{name}: {count} in all, of which the first {_TOLD} were told."
+                self.tell(now_ns, kind, text)
+
     def drain(self) -> list[WireEvent]:
         """Everything since the last call."""
         events, self._events = self._events, []
@@ -75,6 +92,8 @@ class Watch:
     def forget(self) -> None:
         """Tell what was told once more when it comes again."""
         self._told.clear()
+        self._counts.clear()
+        self._strangers.clear()
 
     def on_heartbeat(self, name: str, data: bytearray, now_ns: int) -> None:
         """A heartbeat or boot-up frame of a node."""
@@ -103,7 +122,8 @@ class Watch:
             return
         code, register, own = _EMERGENCY.unpack(data)
         if code >> 8 == 0:
-            self.tell(now_ns, "emergency over", f"{name} reports that its error has gone.")
+            gone = f"{name} reports that its error has gone."
+            self._tell_some(now_ns, "emergency over", gone, name=name)
             return
         text = (
             f"{name} sent the emergency {cia402.describe_error_code(code)}, error register "
@@ -125,13 +145,13 @@ class Watch:
 
     def on_duplicate(self, name: str, now_ns: int) -> None:
         """An answer that nobody asked for."""
-        self.duplicates += 1
         text = f"{name} sent an answer that no SYNC had asked for; it was dropped."
-        self.tell(now_ns, "duplicate answer", text)
+        self._tell_some(now_ns, "duplicate answer", text, name=name)
 
     def on_lost(self, name: str, slot: int, now_ns: int) -> None:
         """An answer that never came."""
-        self.tell(now_ns, "answer lost", f"{name} did not answer the SYNC of slot {slot}.")
+        text = f"{name} did not answer the SYNC of slot {slot}."
+        self._tell_some(now_ns, "answer lost", text, name=name)
 
     def on_silence(self, name: str, timeout_s: float, now_ns: int) -> None:
         """No answer at all, for longer than the answer timeout."""
@@ -183,10 +203,10 @@ class Watch:
 
     def on_stranger(self, cob_id: int, now_ns: int) -> None:
         """A frame that belongs to no node of this axis."""
-        self.strangers += 1
-        if self.strangers <= _TOLD_STRANGERS:
+        if len(self._strangers) < _TOLD and cob_id not in self._strangers:
             text = f"a frame with COB-ID 0x{cob_id:03X} belongs to no node of this axis."
-            self.tell(now_ns, "foreign frame", text, key=str(cob_id))
+            self.tell(now_ns, "foreign frame", text)
+            self._strangers.add(cob_id)
 
     def overdue(self, now_ns: int) -> bool:
         """Whether some heartbeat seems late; before judging, take what has arrived."""

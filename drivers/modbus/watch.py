@@ -26,6 +26,13 @@ class Watch:
         if fatal and self.first_fatal is None:
             self.first_fatal = event
 
+    def tell_totals(self, now_ns: int) -> None:
+        """Tell how many there were of the kinds that were counted only at last."""
+        for kind, count in self._counts.items():
+            if count > _TOLD:
+                text = f"{count} in all, of which the first {_TOLD} were told."
+                self._events.append(WireEvent(now_ns, kind, text))
+
     def count(self, kind: str) -> int:
         """How many of a kind there have been."""
         return self._counts.get(kind, 0)

@@ -98,6 +98,11 @@ class Axis(Protocol):
         """
         ...
 
+    def finish(self) -> Sequence[Sample]:
+        """No slot is asked any more: the samples that have not settled, at once, with what has come
+        of them. What was counted only is told in `events` after it."""
+        ...
+
     def events(self) -> Sequence[WireEvent]:
         """What else happened on the wire since the last call."""
         ...

@@ -76,6 +76,9 @@ def _check_motion(
         assert all((s.drive_answered_ns or 0) >= s.asked_ns for s in answered)
         positions = {s.slot: s.motor_position_rad for s in answered}
         _check_travel(positions, still, moving)
+        axis.command(0.0, len(velocities))
+        assert [sample.slot for sample in axis.finish()] == [len(velocities)], "what is open"
+        assert not axis.finish()
         _check_events_drain_once(axis)
     assert not is_enabled()
     assert not axis.may_be_powered

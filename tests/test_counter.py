@@ -249,6 +249,10 @@ class FakeAxis:
             for slot in ready
         ]
 
+    def finish(self) -> Sequence[Sample]:
+        self.late = 0
+        return self.samples(0)
+
     def events(self) -> Sequence[WireEvent]:
         return []
 
@@ -256,7 +260,7 @@ class FakeAxis:
 @pytest.mark.parametrize("late", [0, 3])
 def test_both_parts_of_a_slot_are_joined_however_late_the_drive_is(late: int) -> None:
     inner = FakeAxis(late)
-    with Peer(lambda n, q: [] if n == 6 else [binary_answer(q[1], 100 * n)], 2) as far:
+    with Peer(lambda n, q: [] if n in (6, 20) else [binary_answer(q[1], 100 * n)], 2) as far:
         axis = AxisWithCounter(inner, settings(), far.clock())
         samples: list[Sample] = []
         with axis:
@@ -265,13 +269,16 @@ def test_both_parts_of_a_slot_are_joined_however_late_the_drive_is(late: int) ->
                 axis.command(0.0, slot)
                 samples += axis.samples(end_ns - 500_000)
                 far.now_ns = max(far.now_ns, end_ns)
+            assert len(samples) <= 20 - late
+            samples += axis.finish()
             assert inner.log == ["enter"]
         assert inner.log == ["enter", "exit"]
-    assert [it.slot for it in samples] == list(range(20 - late))
+    assert [it.slot for it in samples] == list(range(20))
     for it in samples:
         assert it.motor_position_counts == 10 * it.slot
-        assert it.load_angle_counts == (None if it.slot == 5 else 100 * (it.slot + 1))
-        assert (it.load_sampled_ns is None) == (it.load_angle_rad is None) == (it.slot == 5)
+        lost = it.slot in (5, 19)
+        assert it.load_angle_counts == (None if lost else 100 * (it.slot + 1))
+        assert (it.load_sampled_ns is None) == (it.load_angle_rad is None) == lost
 
 
 def test_a_drive_that_cannot_be_enabled_leaves_the_counters_line_free() -> None:

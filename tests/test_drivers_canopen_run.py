@@ -203,6 +203,21 @@ def test_an_answer_that_comes_twice_is_told_and_dropped(rig: FakeRig) -> None:
     assert all(abs(s.motor_position_counts or 0) < 65536 for s in run.samples)
 
 
+def test_answers_that_go_on_coming_twice_are_told_a_few_times_and_counted(rig: FakeRig) -> None:
+    """The session takes so many words only: the pipe to it must never be full."""
+    again = bytes.fromhex("3712 11223344 0000")
+    with rig.axis() as axis:
+        run = Run(rig, axis)
+        run.at = {slot: lambda: rig.world.deliver(0x181, again) for slot in range(3, 43)}
+        run.play(60)
+        axis.finish()
+        (total,) = axis.events()
+    assert [event.kind for event in run.events] == 8 * ["duplicate answer"]
+    assert run.events[-1].text.endswith("Further ones are counted, not told.")
+    assert (total.kind, total.fatal) == ("duplicate answer", False)
+    assert total.text == "drive 1: 40 in all, of which the first 8 were told."
+
+
 def test_strangers_are_told_a_few_times_and_harm_nobody(rig: FakeRig) -> None:
     def chatter() -> None:
         for cob_id in range(0x300, 0x340):

@@ -81,6 +81,9 @@ class IdealAxis:
         self.pending = self.pending[len(settled) :]
         return settled
 
+    def finish(self) -> list[Sample]:
+        return self.samples(self.asks_end_ns)
+
     asks_end_ns = 1 << 62
 
     def events(self) -> list[WireEvent]:

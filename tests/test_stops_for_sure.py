@@ -1,5 +1,6 @@
 """A stop whose first word is lost, refused, or not confirmed: nothing turns on meanwhile."""
 
+import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -27,6 +28,7 @@ from servo_bench.rig import load_rig
 from servo_bench.run import busloop
 from servo_bench.run.busloop import Job, player_for, run_job
 from servo_bench.run.table import UNPLAYED, SlotTable, Stage
+from servo_bench.run.virtual import play_virtually
 from servo_bench.run.virtual_wire import VirtualWire
 from tests.small_runs import experiment, paper_rig
 from tests.virtual_line import install_lines
@@ -62,6 +64,21 @@ def test_while_an_answer_that_is_lost_is_waited_for_the_motor_is_told_to_stand(f
         else:
             assert abs(last_rad_s) == pytest.approx(np.radians(150.0))
             assert wire.now_ns * 1e-9 - last_s <= PERIOD_S
+
+
+@pytest.mark.parametrize("silent", ["encoder", "drive"])
+def test_what_the_other_node_answered_while_one_was_silent_is_recorded(silent: str) -> None:
+    """Its answers wait for those of the silent one, for as long as these may be late."""
+    run = play_virtually(
+        experiment(), paper_rig().with_faults(f"lost frames={silent} at=200 count=0")
+    )
+    assert run.error is not None
+    (stopped_in,) = re.findall(r"stopped in slot (\d+)", str(run.error))
+    slots = run.recording["slot"]
+    assert list(slots) == list(range(int(stopped_in) + 1))
+    channel = {"encoder": "motor_position_rad", "drive": "load_angle_rad"}[silent]
+    answered = np.isfinite(run.recording[channel])
+    assert np.count_nonzero(answered[200:]) >= 0.2 / PERIOD_S
 
 
 class StoppedAxis(CanopenAxis):
@@ -108,6 +125,9 @@ class LeftAxis:
         raise DriveError("the bus is gone")
 
     def samples(self, until_ns: int) -> list[Sample]:
+        return []
+
+    def finish(self) -> list[Sample]:
         return []
 
     def events(self) -> list[Any]:

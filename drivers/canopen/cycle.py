@@ -41,6 +41,7 @@ from drivers.plausible import Plausibility
 
 _FLOOD = 1000
 """Frames taken in one call at most, so that a babbling bus cannot hold the loop."""
+_FOR_EVER_NS = 1 << 62
 SYNC_PATIENCE_S = 0.1
 """A drive's SYNC may be late by so much, and by three periods at the least."""
 
@@ -348,6 +349,13 @@ class Cycle:
             elif sample.slot >= 0:
                 complete.append(sample)
         return complete
+
+    def finish(self) -> list[Sample]:
+        """What has come of the asks that are still open; nothing of it is judged any more."""
+        self.guarded = False
+        for matcher in self._matchers:
+            matcher.give_up(_FOR_EVER_NS)
+        return self.samples()
 
     def _next_sample(self) -> Sample:
         settled = [matcher.settled.popleft() for matcher in self._matchers]

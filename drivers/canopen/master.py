@@ -121,6 +121,12 @@ class CanopenAxis:
         cycle.receive(until_ns)
         return cycle.samples()
 
+    def finish(self) -> Sequence[Sample]:
+        """What has come of the asks that are still open; see `drivers.axis.Axis`."""
+        samples = self._running().finish()
+        self._watch.tell_totals(self._clock.now_ns())
+        return samples
+
     def next_slot(self, slot: int) -> int:
         """The slot, `slot` or a later one, that the next SYNC of a drive that produces it asks."""
         return self._running().next_slot(slot)

@@ -95,6 +95,21 @@ class AxisWithCounter:
             whole.append(self._joined(self._samples.popleft(), self._readings.popleft()))
         return whole
 
+    def finish(self) -> Sequence[Sample]:
+        """As the drive's axis, with the load's angle where it has come."""
+        self._samples.extend(self._axis.finish())
+        self._readings.extend(self._counter.settled())
+        self._watch.tell_totals(self._clock.now_ns())
+        joined = [
+            self._joined(sample, reading)
+            for sample, reading in zip(self._samples, self._readings, strict=False)
+        ]
+        alone = list(self._samples)[len(joined) :]
+        self._samples.clear()
+        self._readings.clear()
+        self._outstanding = 0
+        return [*joined, *alone]
+
     def _hear(self, until_ns: int) -> None:
         samples = self._axis.samples(until_ns)
         self._outstanding -= len(samples)

@@ -182,6 +182,14 @@ class Cycle:
                 settled.append(self._sample(ask))
         return settled
 
+    def finish(self) -> list[Sample]:
+        """The slots that have not settled, as they are; the line is left to whoever stops."""
+        self.guarded = False
+        for ask in self._asks:
+            ask.done = True
+        self._open = self._deferred = None
+        return self.samples()
+
     def _take(self, ask: _Ask, reply: Reply) -> None:
         """An answer to the open request: the next transaction, or the end of the slot."""
         pdu = reply.pdu

@@ -81,6 +81,12 @@ class ModbusAxis:
         cycle.receive(until_ns)
         return cycle.samples()
 
+    def finish(self) -> Sequence[Sample]:
+        """The slots whose answer has not come; see `drivers.axis.Axis`."""
+        samples = self._running().finish()
+        self._watch.tell_totals(self._clock.now_ns())
+        return samples
+
     def events(self) -> Sequence[WireEvent]:
         """What else happened on the wire, from set-up on, since the last call."""
         return self._watch.drain()

@@ -20,13 +20,13 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from types import FrameType
 from typing import Any
 
-from drivers.axis import Axis, Sample
+from drivers.axis import Axis, Sample, WireEvent
 from drivers.errors import StopAskedError
 from servo_bench.clock import NS_PER_S, Clock, monotonic_ns
 from servo_bench.devices import DriveConfig
@@ -126,6 +126,8 @@ class Player:
         try:
             self._play(pace, guard, tell)
         finally:  # a slot that was begun is recorded, with what came of it
+            self._settle(self._axis.finish())
+            self._tell(tell)
             first = self._open[0] if self._open else self._reached
             self._table.done = max(self._table.done, -(-first // self._parts))
 
@@ -151,8 +153,6 @@ class Player:
             tick += 1
         self._table.stage = Stage.STOPPING
         self._rest(tick, pace, guard)
-        for event in self._axis.events():
-            tell(event.kind, event.text, time_ns=event.time_ns, fatal=event.fatal)
 
     def _rest(self, tick: int, pace: Pace, guard: Guard) -> None:
         """Wait for what has not been answered, the motor at velocity 0 from the next tick on: those
@@ -197,7 +197,9 @@ class Player:
         self._reached = tick + 1
         self._open.append(tick)
 
-    def _settle(self, samples: Iterable[Sample], guard: Guard) -> None:
+    def _settle(self, samples: Iterable[Sample], guard: Guard | None = None) -> None:
+        """Record all of them; then LimitError for the first that left a limit."""
+        breach: str | None = None
         for sample in samples:
             slot, part = divmod(sample.slot, self._parts)
             if sample.slot not in self._open:
@@ -212,18 +214,24 @@ class Player:
                 self._table.temperature_c = sample.drive_temperature_c
             first = self._open[0] if self._open else self._reached
             self._table.done = first // self._parts
-            breach = guard.breach(sample) if part == 0 else None
-            if breach:
-                raise LimitError(
-                    f"{breach}: the rig was stopped. Look at the recording before playing again; "
-                    "if the limit is too tight, raise it in the rig's [limits]."
-                )
+            if guard is not None and part == 0:
+                breach = breach or guard.breach(sample)
+        if breach:
+            raise LimitError(
+                f"{breach}: the rig was stopped. Look at the recording before playing again; if "
+                "the limit is too tight, raise it in the rig's [limits]."
+            )
 
     def _heed(self, tell: Tell) -> None:
-        for event in self._axis.events():
-            tell(event.kind, event.text, time_ns=event.time_ns, fatal=event.fatal)
+        for event in self._tell(tell):
             if event.fatal:
                 raise WireError(f"{event.text} The rig was stopped in slot {self._table.slot}.")
+
+    def _tell(self, tell: Tell) -> Sequence[WireEvent]:
+        events = self._axis.events()
+        for event in events:
+            tell(event.kind, event.text, time_ns=event.time_ns, fatal=event.fatal)
+        return events
 
 
 def player_for(

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
 
-from drivers.axis import Sample
+from drivers.axis import Sample, StopAsked
 from drivers.canopen.master import CanopenAxis
 from drivers.canopen.node import NMT_STOP
 from drivers.canopen.settings import CanopenSettings
@@ -24,7 +24,7 @@ from drivers.modbus.setup import Registers
 from drivers.modbus.stopping import stop_over
 from servo_bench.errors import DriveError as BenchDriveError
 from servo_bench.errors import LimitError, gathered
-from servo_bench.rig import load_rig
+from servo_bench.rig import RigConfig, load_rig
 from servo_bench.run import busloop
 from servo_bench.run.busloop import Job, player_for, run_job
 from servo_bench.run.table import UNPLAYED, SlotTable, Stage
@@ -58,6 +58,8 @@ def test_while_an_answer_that_is_lost_is_waited_for_the_motor_is_told_to_stand(f
         last_s, last_rad_s = axis.commands[-1]
         if fault:
             assert last_rad_s == 0.0
+            assert axis.stage is Stage.RESTING
+            assert len(set(axis.beats_ns)) == len(axis.commands), "the supervisor sees each of them"
             first_s = next(at_s for at_s, command in axis.commands if at_s and command == 0.0)
             assert first_s - axis.asked_s <= 1.5 * PERIOD_S
             assert last_s - first_s <= settings.answer_timeout_s + 2 * PERIOD_S
@@ -88,6 +90,8 @@ class StoppedAxis(CanopenAxis):
         super().__init__(settings, wire.drivers_clock())
         self._wire, self._table = wire, table
         self.asked_s = 0.0
+        self.beats_ns: list[int] = []
+        self.stage = Stage.STARTING
         self.commands: list[tuple[float, float]] = []
 
     def command(self, velocity_rad_s: float, slot: int) -> int:
@@ -97,6 +101,8 @@ class StoppedAxis(CanopenAxis):
             self.asked_s = now_s
         if self.asked_s:
             self.commands.append((now_s, velocity_rad_s))
+            self.beats_ns.append(self._table.beat_ns)
+            self.stage = self._table.stage
         return super().command(velocity_rad_s, slot)
 
 
@@ -160,6 +166,22 @@ def test_a_stop_that_is_asked_before_opens_nothing(monkeypatch: pytest.MonkeyPat
         table.ask_stop()
         run_job(Job(plan, paper_rig(), table.descriptor), table)
         assert (table.stage, told) == (Stage.OVER, ["stopping"])
+
+
+def test_the_supervisor_sees_that_enabling_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = experiment()
+    with SlotTable.create(plan.schedule().slots) as table:
+
+        def opened(rig: RigConfig, period_s: float, stop_asked: StopAsked) -> LeftAxis:
+            assert not table.beat_ns
+            assert not stop_asked()
+            assert table.beat_ns
+            return LeftAxis(confirmed=True, refused=True)
+
+        monkeypatch.setattr(busloop, "open_axis", opened)
+        monkeypatch.setattr(busloop, "make_punctual", lambda priority: ())
+        with pytest.raises(BenchDriveError):
+            run_job(Job(plan, paper_rig(), table.descriptor), table)
 
 
 def test_a_stop_that_is_asked_during_set_up_does_not_enable_the_drive() -> None:

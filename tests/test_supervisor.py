@@ -180,7 +180,7 @@ def test_a_loop_that_begins_no_slot_trips_at_once(run: Watched) -> None:
     assert (trip.kind, "blind_s allows 0.2 s" in trip.text) == ("loop hung", True)
 
 
-@pytest.mark.parametrize("stage", [Stage.ENABLING, Stage.PLAYING, Stage.STOPPING])
+@pytest.mark.parametrize("stage", [Stage.ENABLING, Stage.PLAYING, Stage.RESTING, Stage.STOPPING])
 def test_a_loop_that_dies_while_power_may_be_on_trips(run: Watched, stage: Stage) -> None:
     run.table.stage = stage
     trip = run.look(loop_is_gone=True)
@@ -209,6 +209,34 @@ def test_a_stop_that_takes_for_ever_trips(run: Watched) -> None:
     trip = run.look()
     assert trip is not None
     assert trip.kind == "loop hung"
+
+
+def test_a_loop_that_hangs_while_the_last_answers_are_waited_for_trips(run: Watched) -> None:
+    run.play(20)
+    run.table.stage = Stage.RESTING
+    for _ in range(60):
+        run.table.beat_ns = run.now_ns
+        assert run.look() is None
+        run.now_ns += PERIOD_NS
+    run.now_ns += 200_000_000
+    trip = run.look()
+    assert trip is not None
+    assert trip.kind == "loop hung"
+
+
+def test_enabling_has_a_bound_from_its_beginning_and_set_up_has_none(run: Watched) -> None:
+    run.table.stage = Stage.ENABLING
+    run.table.beat_ns = 0
+    for _ in range(100):
+        run.now_ns += 10_000_000_000
+        assert run.look() is None, "a slave may be slow, and nothing is powered"
+    run.table.beat_ns = run.now_ns
+    run.now_ns += 20_000_000_000
+    assert run.look() is None, "a drive that does not enable is stopped again"
+    run.now_ns += 5_000_000_000
+    trip = run.look()
+    assert trip is not None
+    assert (trip.kind, "enabling" in trip.text) == ("loop hung", True)
 
 
 def test_an_operator_who_is_not_heard_is_heard_by_the_supervisor(run: Watched) -> None:
@@ -249,7 +277,7 @@ def test_whatever_the_table_holds_the_judge_answers(steps: list[str], seed: int)
     for run in watched(load_rig("rigs/paper.toml"), Stage.STARTING):
         for step in steps:
             if step == "stage":
-                run.table.stage = Stage(draw.integers(5))
+                run.table.stage = Stage(draw.integers(len(Stage)))
             elif step == "beat":
                 run.table.beat_ns = int(draw.integers(0, 2**62))
             elif step == "stop":

@@ -151,7 +151,7 @@ class Player:
             self._settle(self._axis.samples(pace.until_ns(tick)), guard)
             self._heed(tell)
             tick += 1
-        self._table.stage = Stage.STOPPING
+        self._table.stage = Stage.RESTING
         self._rest(tick, pace, guard)
 
     def _rest(self, tick: int, pace: Pace, guard: Guard) -> None:
@@ -160,7 +160,7 @@ class Player:
         self._settle(self._axis.samples(self._clock.now_ns()), guard)
         end_ns = self._clock.now_ns() + round(SETTLE_S * NS_PER_S)
         while self._open and self._clock.now_ns() < end_ns:
-            woken_ns = pace.wake(tick)
+            self._table.beat_ns = woken_ns = pace.wake(tick)
             tick = pace.due(tick, woken_ns)
             asked_ns = self._axis.command(0.0, tick)
             pace.lateness_s(tick, woken_ns, asked_ns)
@@ -266,6 +266,12 @@ def run_job(job: Job, table: SlotTable) -> None:
             ) from error
     for sentence in make_punctual(job.priority):
         tell("not punctual", sentence)
+
+    def asked_while_enabling() -> bool:
+        """The axis asks again and again: the supervisor sees that enabling goes on."""
+        table.beat_ns = monotonic_ns()
+        return table.stop_asked
+
     table.stage = Stage.ENABLING
     axis: Axis | None = None
     try:
@@ -273,7 +279,7 @@ def run_job(job: Job, table: SlotTable) -> None:
             raise StopAskedError
         with (
             gathered(),
-            (axis := open_axis(job.rig, job.experiment.period_s, lambda: table.stop_asked)),
+            (axis := open_axis(job.rig, job.experiment.period_s, asked_while_enabling)),
         ):
             # the next period already: a drive that watches SYNC allows no pause after enabling
             start_ns = monotonic_ns() + round(job.experiment.period_s * NS_PER_S)

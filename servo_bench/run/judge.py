@@ -7,7 +7,8 @@ it cannot see: that it hangs, or has died.
     kind                when
     loop ended          its process is gone while the drive may be powered
     stop unconfirmed    it has ended in words, and the drive did not confirm to it that it stands
-    loop hung           no slot begun for limits.blind_s, or a stop that takes longer than it can
+    loop hung           no slot begun for limits.blind_s, while the last answers are waited for
+                        too; enabling, or a stop, that takes longer than it can
     stop ignored        the operator asked for a stop, and it plays on
     limit               travel, velocity, torque, run time, temperature
     drive               a statusword that is not enabled, an emergency, a restart
@@ -46,7 +47,7 @@ ANSWER_PATIENCE_S = 0.4
 """The axis itself gives up after 0.25 s without an answer."""
 STOP_PATIENCE_S = 5.0
 _ENDING = (Stage.STOPPING, Stage.UNCONFIRMED)
-_POWERED = (Stage.ENABLING, Stage.PLAYING, *_ENDING)
+_POWERED = (Stage.ENABLING, Stage.PLAYING, Stage.RESTING, *_ENDING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +68,7 @@ class Judge:
         self._stop_patience_s = (
             STOP_PATIENCE_S + rig.drive.enable_timeout_s + 2 * rig.drive.stop_timeout_s
         )
+        self._enable_patience_s = 2 * self._stop_patience_s  # a drive may refuse, and be left
         self.grace_s = 2 * period_s + 0.02
         self._plausible = Plausibility(rig.drive.stuck_travel_rad, "the drive", self._cannot_be)
         self._guard: Guard | None = None
@@ -107,9 +109,35 @@ class Judge:
                 f"the bus loop has been stopping the rig for more than {self._stop_patience_s:g} "
                 "s.",
             )
-        if stage != Stage.PLAYING:
+        if stage == Stage.ENABLING:
+            return self._while_enabling(now_ns, table)
+        if stage not in (Stage.PLAYING, Stage.RESTING):
             return None
+        hung = self._hung(now_ns, table)
+        if hung or stage == Stage.RESTING:
+            return hung
         return self._while_playing(now_ns, table, heard, temperature_c)
+
+    def _while_enabling(self, now_ns: int, table: SlotTable) -> Trip | None:
+        """Set-up has no bound, and no power; the loop beats from when it begins to enable."""
+        if not table.beat_ns or now_ns - table.beat_ns <= self._enable_patience_s * NS_PER_S:
+            return None
+        return Trip(
+            "loop hung",
+            "the bus loop has been enabling the drive, or stopping it again, for more than "
+            f"{self._enable_patience_s:g} s.",
+        )
+
+    def _hung(self, now_ns: int, table: SlotTable) -> Trip | None:
+        blind_ns, allowed_s = now_ns - table.beat_ns, blind_s(self._limits, self.period_s)
+        if blind_ns <= allowed_s * NS_PER_S:
+            return None
+        return Trip(
+            "loop hung",
+            f"the bus loop has begun no slot for {blind_ns / NS_PER_S:.3f} s after slot "
+            f"{table.slot}, limits.blind_s allows {allowed_s:g} s: it hangs, or the "
+            "machine gives it no time. See what else runs on it, and servo-bench doctor.",
+        )
 
     def _orphaned(self, table: SlotTable) -> Trip:
         if table.stage == Stage.UNCONFIRMED:
@@ -130,17 +158,9 @@ class Judge:
         heard: Sequence[WireEvent],
         temperature_c: float | None,
     ) -> Trip | None:
-        blind_ns, allowed_s = now_ns - table.beat_ns, blind_s(self._limits, self.period_s)
-        if blind_ns > allowed_s * NS_PER_S:
-            return Trip(
-                "loop hung",
-                f"the bus loop has begun no slot for {blind_ns / NS_PER_S:.3f} s after slot "
-                f"{table.slot}, limits.blind_s allows {allowed_s:g} s: it hangs, or the "
-                "machine gives it no time. See what else runs on it, and servo-bench doctor.",
-            )
         if table.stop_asked:
             self._stop_ns = self._stop_ns or now_ns
-            if now_ns - self._stop_ns > allowed_s * NS_PER_S:
+            if now_ns - self._stop_ns > blind_s(self._limits, self.period_s) * NS_PER_S:
                 return Trip("stop ignored", "a stop was asked, and the bus loop plays on.")
         found = (
             self._judge_rows(table)

@@ -55,7 +55,7 @@ def _empty(fields: tuple[tuple[str, str], ...], dtype: "np.dtype[np.void]") -> N
 
 class Stage(IntEnum):
     """Where the bus loop is: power may be on from ENABLING to STOPPING, and after the loop where
-    it left UNCONFIRMED."""
+    it left UNCONFIRMED. RESTING is between PLAYING and STOPPING: no slot is played any more."""
 
     STARTING = 0
     ENABLING = 1
@@ -63,6 +63,7 @@ class Stage(IntEnum):
     STOPPING = 3
     OVER = 4
     UNCONFIRMED = 5
+    RESTING = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +165,8 @@ class SlotTable:
 
     @property
     def beat_ns(self) -> int:
-        """When the loop last began a slot; 0 before the first."""
+        """When the loop last began a slot, or a cycle of its own before the first and after the
+        last; 0 until the drive is led to be enabled."""
         return self._word("beat_ns")
 
     @beat_ns.setter

@@ -170,6 +170,20 @@ def test_silence_trips_after_the_axis_should_have_given_up(run: Watched) -> None
     assert trip.kind == "bus silent"
 
 
+def test_a_hole_that_blind_s_allows_is_no_silence() -> None:
+    rig = load_rig("rigs/paper.toml")
+    patient = rig.limits.model_copy(update={"blind_s": 1.0})
+    for run in watched(rig.model_copy(update={"limits": patient})):
+        assert run.play(20) is None
+        run.now_ns += 500_000_000
+        run.motor_rad += 0.5 * 0.5
+        run.table.beat_ns = run.now_ns
+        for _ in range(10):
+            assert run.look() is None, "the first answer after it is still to come"
+            run.now_ns += 1_000_000
+        assert run.play(50) is None
+
+
 def test_a_loop_that_begins_no_slot_trips_at_once(run: Watched) -> None:
     run.play(20)
     run.now_ns = run.table.beat_ns + 199_000_000

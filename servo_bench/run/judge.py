@@ -14,7 +14,8 @@ it cannot see: that it hangs, or has died.
     drive               a statusword that is not enabled, an emergency, a restart
     implausible         following error, encoder disagreement, a stuck encoder
     bus silent          no answer of the drive, or of the load's encoder once it has answered, to
-                        any slot for longer than the axis itself allows
+                        any slot for longer than the axis itself allows; time in which no slot was
+                        begun, which limits.blind_s bounds, is no silence
 """
 
 import math
@@ -77,6 +78,7 @@ class Judge:
         self._before: tuple[int, float] | None = None  # ask and command of the row before
         self._answered_ns: int | None = None
         self._load_ns: int | None = None
+        self._beat_ns = 0
         self._stage = Stage.STARTING
         self._stage_ns = 0
         self._stop_ns: int | None = None
@@ -162,6 +164,7 @@ class Judge:
             self._stop_ns = self._stop_ns or now_ns
             if now_ns - self._stop_ns > blind_s(self._limits, self.period_s) * NS_PER_S:
                 return Trip("stop ignored", "a stop was asked, and the bus loop plays on.")
+        self._forgive_hole(table.beat_ns)
         found = (
             self._judge_rows(table)
             or self._judge_heard(heard)
@@ -232,6 +235,17 @@ class Judge:
             f"the drive's temperature reached {temperature_c:.1f} °C, the limit is {limit_c:g} °C. "
             "Let it cool; lower the amplitude.",
         )
+
+    def _forgive_hole(self, beat_ns: int) -> None:
+        """Where no slot was begun for three periods or more nobody was asked: that is no
+        silence."""
+        hole_ns = beat_ns - self._beat_ns
+        if self._beat_ns and hole_ns > 3 * self.period_s * NS_PER_S:
+            if self._answered_ns is not None:
+                self._answered_ns += hole_ns
+            if self._load_ns is not None:
+                self._load_ns += hole_ns
+        self._beat_ns = beat_ns
 
     def _judge_silence(self, table: SlotTable) -> Trip | None:
         for who, answered_ns in (

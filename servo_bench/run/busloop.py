@@ -218,8 +218,8 @@ class Player:
                 breach = breach or guard.breach(sample)
         if breach:
             raise LimitError(
-                f"{breach}: the rig was stopped. Look at the recording before playing again; if "
-                "the limit is too tight, raise it in the rig's [limits]."
+                f"{breach}: the rig was stopped. Before playing again look at the recording, where "
+                "one is kept; if the limit is too tight, raise it in the rig's [limits]."
             )
 
     def _heed(self, tell: Tell) -> None:

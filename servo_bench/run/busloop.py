@@ -127,7 +127,7 @@ class Player:
             self._play(pace, guard, tell)
         finally:  # a slot that was begun is recorded, with what came of it
             self._settle(self._axis.finish())
-            self._tell(tell)
+            self._tell(tell, ended=True)
             first = self._open[0] if self._open else self._reached
             self._table.done = max(self._table.done, -(-first // self._parts))
 
@@ -227,10 +227,12 @@ class Player:
             if event.fatal:
                 raise WireError(f"{event.text} The rig was stopped in slot {self._table.slot}.")
 
-    def _tell(self, tell: Tell) -> Sequence[WireEvent]:
+    def _tell(self, tell: Tell, *, ended: bool = False) -> Sequence[WireEvent]:
+        """Tell all of them; what comes after a run's end has not ended it, and is not fatal."""
         events = self._axis.events()
         for event in events:
-            tell(event.kind, event.text, time_ns=event.time_ns, fatal=event.fatal)
+            fatal = event.fatal and not ended
+            tell(event.kind, event.text, time_ns=event.time_ns, fatal=fatal)
         return events
 
 

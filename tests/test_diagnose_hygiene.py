@@ -1,6 +1,7 @@
 """What is wrong with a recording before any model is blamed: wild samples, a coarse angle."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -209,6 +210,20 @@ def test_a_torque_line_is_found_at_its_order(order: float) -> None:
         compared(MODEL.with_effect("cogging", torque_nm=0.01, order=order), 15), MODEL
     )
     assert lines.torque[0].order == pytest.approx(order, abs=0.2)
+
+
+@pytest.mark.parametrize("paused_at", [300, 860])
+def test_a_torque_line_is_sought_in_the_piece_whose_shaft_it_is(paused_at: int) -> None:
+    """A logger pauses: of what comes before and after, the longer part tells."""
+    run = recorded(MODEL.with_effect("cogging", torque_nm=0.01, order=12.0), 15, slots=SLOTS)
+    kept = {n: v for n, v in run.channels.items() if n not in ("slot", "phase", "asked_ns")}
+    t_s = run.period_s * np.arange(len(run))
+    t_s[paused_at:] += 0.5
+    paused = compare(replace(run, channels={**kept, "t_s": t_s}), MODEL, scales=SCALES)
+    assert len(paused.pieces) == 2
+    assert motor_lines(paused, MODEL).torque[0].order == pytest.approx(12.0, abs=0.2)
+    (wave,) = torque_waves(paused, MODEL, (12.0,))
+    assert wave.torque_nm == pytest.approx(0.01, rel=0.25)
 
 
 def test_strong_waves_of_three_orders_are_told_apart_by_size_and_phase() -> None:

@@ -112,7 +112,7 @@ class _Loop(NamedTuple):
         angle = done.motor_angle_rad
         if rows.has("motor_position_rad"):
             angle = _finely(rows.channel("motor_position_rad")[piece.rows], angle, fine)
-        targets = _targets(comparison, model, piece.last - piece.first - 1)
+        targets = _targets(comparison, model, piece.last - 1)
         respond = _Response(model, period_s / fine, fine)
         return cls(angle, done.motor_current_a / rms, respond, targets)
 
@@ -184,9 +184,12 @@ class _Target(NamedTuple):
     known: Array
 
 
-def _targets(comparison: Comparison, model: Model, points: int) -> list[_Target]:
-    """Whitened errors over one row: motor (or load) velocity, and torque."""
+def _targets(comparison: Comparison, model: Model, last: int) -> list[_Target]:
+    """Whitened errors over one row: motor (or load) velocity, and torque. Of the longest piece's
+    points to row `last`: errors are those of all pieces, one after another."""
     errors = comparison.errors(model)
+    start = np.concatenate([points.start for points in comparison.pieces])
+    here = (start >= comparison.longest.first) & (start < last)
     targets = []
     quick = [s for s in comparison.signals if s.increments and s.stride == 1]
     wanted = next((s for s in quick if s.channel == "motor_position_rad"), quick[0])
@@ -197,8 +200,8 @@ def _targets(comparison: Comparison, model: Model, points: int) -> list[_Target]
         known = np.isfinite(row) & np.isfinite(comparison.measured[0]) & comparison.seen
         sigma = max(signal.floor, 1.4826 * float(np.median(np.abs(row[known]))))
         scale = sigma / signal.factor if torque else sigma
-        values = np.clip(np.where(known, row, 0.0) / sigma, -4.0, 4.0)[:points]
-        weight = (known / scale)[:points]
+        values = np.clip(np.where(known, row, 0.0) / sigma, -4.0, 4.0)[here]
+        weight = (known / scale)[here]
         targets.append(_Target("current" if torque else "velocity", values, weight))
     return targets
 

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from servo_bench.diagnosis.concluding import conclude
-from servo_bench.diagnosis.elsewhere.locked import judge_locked
+from servo_bench.diagnosis.elsewhere.locked import dragged, judge_locked
 from servo_bench.recording.plant import ForeignPlant
 from servo_bench.recording.recording import Recording
 from servo_bench.report.diagnosis_page import diagnosis_report
@@ -98,6 +98,38 @@ def test_a_spring_has_no_play() -> None:
     noise = np.random.default_rng(6).normal(size=run.size)
     verdict = conclude([locked(torque, 2e-3 * torque + 1e-4 * noise, run)]).verdict
     assert (verdict.verdict, verdict.causes) == ("none", ())
+
+
+@pytest.mark.parametrize(("true_rad", "declared_rad"), [(0.02, 0.02), (0.02, 0.03), (0.0, 0.02)])
+def test_play_is_an_error_of_the_map_where_it_is_not_what_the_map_declares(
+    true_rad: float, declared_rad: float
+) -> None:
+    torque, run = ramps(5)
+    noise = 1e-5 * np.random.default_rng(9).normal(size=run.size)
+    side = np.clip(dragged(torque, np.array([0.8]), np.zeros(1))[:, 0] / 0.6, -1.0, 1.0)
+    told = locked(torque, 2e-3 * torque + 0.5 * true_rad * side + noise, run)
+    plant = ForeignPlant(name="gear", output_locked=True, backlash_gap_rad=declared_rad)
+    verdict = conclude([replace(told, plant=plant)]).verdict
+    if true_rad == declared_rad:
+        assert (verdict.verdict, verdict.causes) == ("none", ())
+        assert "the map's 1.15 deg of play" in verdict.sentence
+        return
+    (cause,) = verdict.causes
+    change_rad = cause.parameters["change_rad"].value
+    assert change_rad == pytest.approx(true_rad - declared_rad, abs=1e-3)
+
+
+def test_a_twist_that_the_torque_does_not_explain_is_no_spring_s() -> None:
+    """It swings by itself, as another shaft's does; not so the noise of a gear that is rigid."""
+    torque, run = ramps(5)
+    rng = np.random.default_rng(10)
+    swings = 0.02 * np.sin(0.0031 * np.arange(run.size)) + 1e-4 * rng.normal(size=run.size)
+    verdict = conclude([locked(torque, swings, run)]).verdict
+    assert (verdict.verdict, verdict.causes) == ("unknown", ())
+    assert "Neither a linear spring nor play explains" in verdict.sentence
+    assert "whether the twist follows" in verdict.next_run
+    rigid = conclude([locked(torque, 1e-4 * rng.normal(size=run.size), run)]).verdict
+    assert rigid.verdict == "none"
 
 
 def test_runs_that_are_not_alike_are_not_called_a_spring() -> None:

@@ -64,7 +64,7 @@ def judge_open(
                 "own. Give one, with its runs in it."
             )
         locked = judge_locked(recordings[0], held_out)
-        verdict = locked_verdict(locked, recordings[0], without, only)
+        verdict = locked_verdict(locked, without, only)
         shown = locked.shown
     elif all(can_be_looped(one) for one in (*recordings, *((held_out,) if held_out else ()))):
         looped = judge_looped(recordings, held_out, without=without, only=only)

@@ -7,7 +7,8 @@
          torque drags along (play operator), about m where friction is not the same either way
     d    over which torque the play is crossed
 
-A spring alone is the base. Friction without play is twist = c p. Source of the operator:
+A spring alone is the base, with the play that the map declares, if any. Friction without more play
+is twist = c p. Source of the operator:
 Visintin, Differential Models of Hysteresis (1994), ch. III.
 """
 
@@ -41,7 +42,8 @@ BLOCKS = 40
 
 @dataclass(frozen=True)
 class Twist:
-    """One fit: `numbers` is (compliance, play, offset), errors in rad over the chosen rows."""
+    """One fit: `numbers` is (compliance, play, offset), errors in rad over the chosen rows. Play of
+    `gap_rad` was given, and is no number of it."""
 
     numbers: Array
     friction_nm: float
@@ -49,6 +51,7 @@ class Twist:
     crossing_nm: float
     errors: Array
     covariance: Array
+    gap_rad: float = 0.0
 
     @property
     def rms_rad(self) -> float:
@@ -58,12 +61,15 @@ class Twist:
 
 @dataclass(frozen=True)
 class LockedFinding:
-    """The rivals, fitted to the first runs, and their errors on the last ones."""
+    """The rivals, fitted to the first runs, and their errors on the last ones, where the twist is
+    as large as `there` and what the spring leaves has so much `noise` (rms from row to row)."""
 
     spring: Twist
     hysteresis: Twist
     play: Twist
     held: dict[str, float]
+    there: float
+    noise: float
     z: float
     over_hysteresis: float
     share: float
@@ -85,9 +91,11 @@ def judge_locked(recording: Recording, held_out: Recording | None = None) -> Loc
     judged = np.ones(unseen.run.size, bool) if held_out is not None else ~seen
     _need_reversal(torque[seen])
     grid = _grid(torque)
+    gap_rad = _declared_gap_rad(recording)
+    plainly = grid if gap_rad else grid[:, :1]
     fits = {
-        "spring": _fit(torque, twist, seen, grid[:, :1], ("torque",)),
-        "hysteresis": _fit(torque, twist, seen, grid, ("dragged",)),
+        "spring": _fit(torque, twist, seen, plainly, ("torque",), gap_rad=gap_rad),
+        "hysteresis": _fit(torque, twist, seen, grid, ("dragged",), gap_rad=gap_rad),
         "play": _fit(torque, twist, seen, grid, ("torque", "side")),
     }
     left = {name: _errors(fit, name, unseen.torque, unseen.twist) for name, fit in fits.items()}
@@ -97,6 +105,8 @@ def judge_locked(recording: Recording, held_out: Recording | None = None) -> Loc
     return LockedFinding(
         **fits,
         held={name: float(np.sqrt(np.mean(values**2))) for name, values in errors.items()},
+        there=float(np.std(unseen.twist[judged])),
+        noise=float(np.sqrt(0.5 * np.mean(np.diff(errors["spring"]) ** 2))),
         z=_z(before - after),
         over_hysteresis=_z(squares["hysteresis"] - after),
         share=float((before.sum() - after.sum()) / max(before.sum(), 1e-300)),
@@ -111,6 +121,11 @@ def _first(run: Array) -> NDArray[np.bool_]:
     if numbers.size > 1:
         return np.asarray(~np.isin(run, numbers[-max(1, numbers.size // 3) :]))
     return np.asarray(np.arange(run.size) < run.size - run.size // 3)
+
+
+def _declared_gap_rad(recording: Recording) -> float:
+    """What the map tells of play, zero where it tells none."""
+    return (recording.plant and recording.plant.backlash_gap_rad) or 0.0
 
 
 def _in_amperes(recording: Recording) -> bool:
@@ -184,22 +199,31 @@ def dragged(torque: Array, friction_nm: Array, middle_nm: Array) -> Array:
 
 
 def _fit(
-    torque: Array, twist: Array, seen: NDArray[np.bool_], grid: Array, kind: tuple[str, ...]
+    torque: Array,
+    twist: Array,
+    seen: NDArray[np.bool_],
+    grid: Array,
+    kind: tuple[str, ...],
+    *,
+    gap_rad: float = 0.0,
 ) -> Twist:
     moved = dragged(torque, grid[0], grid[1])
     largest = float(np.abs(torque).max())
+    crossed = "side" in kind or gap_rad > 0.0
     fits = [
-        _solved(torque, moved[:, k], twist, seen, (float(f), float(m), d), kind=kind)
+        _solved(
+            torque, moved[:, k], twist, seen, (float(f), float(m), d), kind=kind, gap_rad=gap_rad
+        )
         for k, (f, m) in enumerate(grid.T)
-        for d in _crossings(float(f + abs(m)), largest, kind)
+        for d in _crossings(float(f + abs(m)), largest, crossed=crossed)
     ]
     return min(fits, key=lambda fit: fit.rms_rad)
 
 
-def _crossings(held_nm: float, largest_nm: float, kind: tuple[str, ...]) -> list[float]:
+def _crossings(held_nm: float, largest_nm: float, *, crossed: bool) -> list[float]:
     """Torques over which a play may be crossed, where friction holds back so much."""
     tried = [share * largest_nm for share in CROSSINGS]
-    if "side" not in kind:
+    if not crossed:
         return tried[:1]
     return [d for d in tried if held_nm + d <= CROSSED * largest_nm]
 
@@ -212,28 +236,36 @@ def _solved(
     shape: tuple[float, float, float],
     *,
     kind: tuple[str, ...],
+    gap_rad: float,
 ) -> Twist:
     matrix = _matrix(torque, moved, shape[2], kind)[seen]
+    left = (twist - gap_rad * _side(moved, shape[2]))[seen]
     inverse = np.linalg.pinv(matrix.T @ matrix)
-    found = inverse @ (matrix.T @ twist[seen])
-    errors = twist[seen] - matrix @ found
+    found = inverse @ (matrix.T @ left)
+    errors = left - matrix @ found
     scores = np.stack([_blocks(column * errors) for column in matrix.T], axis=1)
-    return Twist(found, *shape, errors, inverse @ (scores.T @ scores) @ inverse)
+    return Twist(found, *shape, errors, inverse @ (scores.T @ scores) @ inverse, gap_rad)
 
 
 def _matrix(torque: Array, moved: Array, crossing_nm: float, kind: tuple[str, ...]) -> Array:
     made = {
         "torque": torque,
         "dragged": moved,
-        "side": 0.5 * np.clip(moved / crossing_nm, -1.0, 1.0),
+        "side": _side(moved, crossing_nm),
     }
     return np.stack([*(made[name] for name in kind), np.ones(torque.size)], axis=1)
+
+
+def _side(moved: Array, crossing_nm: float) -> Array:
+    """Where in a play of width one it lies."""
+    return np.asarray(0.5 * np.clip(moved / crossing_nm, -1.0, 1.0))
 
 
 def _errors(fit: Twist, name: str, torque: Array, twist: Array) -> Array:
     moved = dragged(torque, np.array([fit.friction_nm]), np.array([fit.middle_nm]))[:, 0]
     kinds = {"spring": ("torque",), "hysteresis": ("dragged",), "play": ("torque", "side")}
-    return np.asarray(twist - _matrix(torque, moved, fit.crossing_nm, kinds[name]) @ fit.numbers)
+    made = _matrix(torque, moved, fit.crossing_nm, kinds[name]) @ fit.numbers
+    return np.asarray(twist - made - fit.gap_rad * _side(moved, fit.crossing_nm))
 
 
 def _blocks(values: Array) -> Array:

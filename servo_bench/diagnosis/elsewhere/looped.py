@@ -23,7 +23,7 @@ import numpy as np
 
 from servo_bench.diagnosis.comparing.comparison import Comparison
 from servo_bench.diagnosis.comparing.evidence import Evidence, block_z
-from servo_bench.diagnosis.comparing.rows import Mask
+from servo_bench.diagnosis.comparing.rows import Array, Mask
 from servo_bench.diagnosis.elsewhere.shown import Shown
 from servo_bench.diagnosis.fitting.driven import DrivenComparison, compare_driven, resistance_ohm
 from servo_bench.diagnosis.fitting.foreign_start import starting_model
@@ -58,7 +58,8 @@ NEEDED_SHARE = 0.01
 
 @dataclass(frozen=True)
 class LoopedFinding:
-    """What a verdict is written from. `before` and `after`: rms of the held-out angle, rad.
+    """What a verdict is written from. `before` and `after`: rms of the held-out angle's error,
+    `there` of that angle about its mean, rad.
 
     `missed_z`: by how much, in block scatter, weight and dry friction are missed where they are.
     """
@@ -70,6 +71,7 @@ class LoopedFinding:
     scales: Scales
     before: float
     after: float
+    there: float
     floor: float
     left_out: int
     shown: Shown
@@ -109,6 +111,7 @@ def judge_looped(
         scales=scales,
         before=_angle_rms(judging, plain.model, whole=whole),
         after=_angle_rms(judging, final.model, whole=whole),
+        there=_turned_rms(judging, whole=whole),
         floor=float(evidence.floors[_angle(evidence)]),
         left_out=len(recordings) - len(closed),
         shown=_shown(judging, plain.model, final.model, whole=whole),
@@ -334,9 +337,17 @@ def _shown(evidence: Evidence, plain: Model, final: Model, *, whole: bool) -> Sh
 def _angle_rms(evidence: Evidence, model: Model, *, whole: bool) -> float:
     """Of the motor's angle where no fit saw it."""
     k = _angle(evidence)
-    squares, count = 0.0, 0
-    for comparison in evidence.judging:
-        errors = comparison.errors(model)[k]
-        known = errors[_judged(comparison, whole=whole) & np.isfinite(errors)]
-        squares, count = squares + float(known @ known), count + known.size
-    return float(np.sqrt(squares / max(count, 1)))
+    return _rms([c.errors(model)[k][_judged(c, whole=whole)] for c in evidence.judging])
+
+
+def _turned_rms(evidence: Evidence, *, whole: bool) -> float:
+    """Of that angle itself, each recording's about its mean."""
+    k = _angle(evidence)
+    shown = [c.measured[k][_judged(c, whole=whole)] for c in evidence.judging]
+    return _rms([angle - np.nanmean(angle) for angle in shown if np.isfinite(angle).any()])
+
+
+def _rms(parts: Sequence[Array]) -> float:
+    """Of all that came."""
+    every = np.concatenate([part[np.isfinite(part)] for part in parts] or [np.zeros(1)])
+    return float(np.sqrt(np.mean(every**2))) if every.size else 0.0

@@ -5,14 +5,22 @@ from collections.abc import Iterator
 import numpy as np
 
 from servo_bench.diagnosis.elsewhere import gate
+from servo_bench.diagnosis.elsewhere.explained import PLAYED, share_explained
 from servo_bench.diagnosis.elsewhere.looped import LoopedFinding
 from servo_bench.diagnosis.judging.causes import carried_cause, cause_of
 from servo_bench.diagnosis.judging.intervals import quantities
 from servo_bench.diagnosis.judging.verdict import Cause, ErrorFigures, Verdict
 
+CHECK = (
+    "Play it once more with nothing that touches the shaft, and look whether the motion comes "
+    "again: else something turns it that was not recorded, or the goal or the loop's gain is "
+    "another's."
+)
+
 
 def looped_verdict(found: LoopedFinding) -> Verdict:
-    """Named causes with sizes; none where inertia, torque and drag are all that pays."""
+    """Named causes with sizes; none where inertia, torque and drag are all that pays, unknown where
+    they do not explain the motion."""
     causes = tuple(_causes(found))
     explainable = found.before**2 - found.floor**2
     share = (found.before**2 - found.after**2) / explainable if explainable > 0.0 else 0.0
@@ -27,13 +35,15 @@ def looped_verdict(found: LoopedFinding) -> Verdict:
     model = found.final.model if causes else found.plain.model
     named = {c.effect for c in causes}
     values = zip(found.final.unknowns, found.final.values, strict=True)
+    lost = not causes and _is_lost(found)
+    split = next((c.splitting_experiment for c in causes if c.splitting_experiment), "")
     return Verdict(
-        verdict="named" if causes else "none",
-        sentence=_sentence(causes, error),
+        verdict="named" if causes else "unknown" if lost else "none",
+        sentence=_of_the_rest(found) if lost else _sentence(causes, error),
         causes=causes,
         error=error,
         notes=tuple(_notes(found)),
-        next_run=next((c.splitting_experiment for c in causes if c.splitting_experiment), ""),
+        next_run=CHECK if lost else split,
         nominal={n: float(getattr(model.nominal, n)) for n in model.nominal.__dataclass_fields__},
         effects={name: dict(table) for name, table in model.to_table().items() if table},
         nuisances={u.name: float(v) for u, v in values if u.effect not in named},
@@ -62,6 +72,20 @@ def _notes(found: LoopedFinding) -> Iterator[str]:
             f"{found.left_out} recordings were left out: their power stage was off for a part, and "
             "what a motor does then is not commanded."
         )
+
+
+def _is_lost(found: LoopedFinding) -> bool:
+    """Whether the plain motor does not explain the motion, and more is left than noise."""
+    explained = share_explained(found.before, found.there)
+    return explained < PLAYED and found.before > gate.QUIET * found.floor
+
+
+def _of_the_rest(found: LoopedFinding) -> str:
+    return (
+        "Neither inertia, torque and viscous drag nor any effect of the catalogue explains the "
+        f"motion: of an angle of {found.there:.3g} rad (rms) on data that no fit saw "
+        f"{found.before:.3g} rad are left."
+    )
 
 
 def _sentence(causes: tuple[Cause, ...], error: ErrorFigures) -> str:

@@ -6,14 +6,12 @@ import numpy as np
 
 from servo_bench.diagnosis.elsewhere import gate
 from servo_bench.diagnosis.elsewhere.equation import error_of, offset_of, size_of
+from servo_bench.diagnosis.elsewhere.explained import EXPLAINED
 from servo_bench.diagnosis.elsewhere.mechanics import MechanicsFinding, signal_of
 from servo_bench.diagnosis.elsewhere.selection import Step
 from servo_bench.diagnosis.fitting.free import unit_of
 from servo_bench.diagnosis.judging.verdict import Cause, ErrorFigures, Quantity, Verdict
 from servo_bench.diagnosis.searching.classes import class_of, splitting
-
-EXPLAINED = 0.5
-"""Of what no fit saw, that a plain motor explains at least where nothing pays beside it."""
 
 
 def mechanics_verdict(found: MechanicsFinding) -> Verdict:

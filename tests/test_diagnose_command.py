@@ -11,12 +11,15 @@ import pytest
 from typer.testing import CliRunner
 
 from servo_bench.cli import app as cli
+from servo_bench.diagnosis.concluding import conclude
+from servo_bench.diagnosis.diagnose import diagnose
 from servo_bench.diagnosis.fitting.model_file import load_model, model_text
 from servo_bench.diagnosis.judging.extended import extended_rig, rig_text
 from servo_bench.diagnosis.judging.undecided import (
     RECOMMENDED,
     REPEAT,
     check_alike,
+    check_one_rig,
     open_questions,
     undecided,
     what_next,
@@ -269,8 +272,27 @@ def test_recordings_of_different_signals_are_refused(handed: Handed) -> None:
     recording = load(handed.seen)
     with pytest.raises(ConfigError, match="recording 2 has"):
         check_alike([recording, _without(recording, "motor_torque_nm")])
-    with pytest.raises(ConfigError, match="period"):
+    with pytest.raises(ConfigError, match=r"and the held-out recording of 0\.001 s"):
         check_alike([recording], replace(recording, period_s=0.001))
+
+
+def test_recordings_of_two_rigs_are_refused_where_nobody_says_which_is_meant(
+    handed: Handed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = load_rig(handed.rig)
+    heavy = rig.nominal.model_copy(update={"inertia_kg_m2": 12.0 * rig.nominal.inertia_kg_m2})
+    mine = replace(load(handed.seen), rig=rig)
+    other = replace(load(handed.held_out), rig=rig.model_copy(update={"nominal": heavy}))
+    with pytest.raises(ConfigError, match=r"inertia_kg_m2 = .* that of recording 2 .*--rig"):
+        conclude([mine, other])
+    with pytest.raises(ConfigError, match=r"inertia_kg_m2 = .* that of the held-out recording"):
+        conclude([mine], held_out=other)
+    with pytest.raises(ConfigError, match="held-out recording"):
+        diagnose([mine], held_out=other)
+    check_one_rig([mine, replace(other, rig=None), replace(mine, rig=rig)], mine)
+    files = {handed.seen: mine, handed.held_out: other}
+    monkeypatch.setattr("servo_bench.cli.diagnose.load", files.__getitem__)
+    assert "that of the held-out recording" in run(handed.seen, "--holdout", handed.held_out)
 
 
 @pytest.mark.parametrize(

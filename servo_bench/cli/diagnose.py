@@ -83,7 +83,8 @@ def diagnose(
     check_effects(left_out, alone)
     loaded = [load(path) for path in recordings]
     held_out = load(holdout) if holdout is not None else None
-    config = load_rig(rig) if rig is not None else loaded[0].rig
+    given = load_rig(rig) if rig is not None else None
+    config = given if given is not None else loaded[0].rig
     if rig_out is not None and config is None:
         raise ConfigError(
             "--rig-out extends a rig, and the recording has none: give --rig, or write the model "
@@ -93,7 +94,7 @@ def diagnose(
     with _progress() as told:
         found = conclude(
             loaded,
-            rig=config,
+            rig=given,
             model=believed,
             held_out=held_out,
             without=left_out,

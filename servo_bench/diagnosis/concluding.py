@@ -18,6 +18,7 @@ from servo_bench.diagnosis.judging.picture import picture
 from servo_bench.diagnosis.judging.undecided import (
     REPEAT,
     check_alike,
+    check_one_rig,
     open_questions,
     undecided,
     what_next,
@@ -56,11 +57,13 @@ def conclude(
 ) -> Concluded:
     """The verdict on recordings of one rig, with the error's picture and its open questions.
 
-    `model` is what is believed, else that of `rig`, else of the first recording's own; the others
-    are as in `diagnose`.
+    `model` is what is believed, else that of `rig`, else of the recordings' own; the others are as
+    in `diagnose`.
     ConfigError where no rig is known and the data are not from elsewhere, or where the recordings
-    do not go together or are the same.
+    do not go together, are the same, or tell of rigs that differ and nobody says which is meant.
     """
+    if rig is None and model is None:
+        check_one_rig(recordings, held_out)
     if rig is not None:  # what is known of the drive now, nobody may have known at the recording
         by_s = rig.drive.torque_filter_s
         recordings = [filtered(one, by_s) for one in recordings]

@@ -5,6 +5,7 @@ from collections.abc import Collection, Sequence
 from servo_bench.diagnosis.comparing.comparison import Choice
 from servo_bench.diagnosis.elsewhere import diagnose_open, is_open
 from servo_bench.diagnosis.judging.judgement import verdict_of
+from servo_bench.diagnosis.judging.undecided import check_one_rig
 from servo_bench.diagnosis.judging.verdict import Verdict
 from servo_bench.diagnosis.searching.finding import Finding, find_causes, nothing_told
 from servo_bench.diagnosis.searching.rounds import Told
@@ -31,7 +32,7 @@ def diagnose(
     `model` is what is believed before (else the recording's own rig); `without` takes effects out
     of the catalogue, `only` leaves nothing but these; gain is measured on `held_out`, else on the
     recordings' own validation. Raises FitError where the data cannot be judged at all, ConfigError
-    where no model is known.
+    where no model is known, or where the recordings' own differ.
     """
     if model is None and recordings and all(is_open(one) for one in recordings):
         return diagnose_open(recordings, held_out=held_out, without=without, only=only)
@@ -60,7 +61,7 @@ def investigate(
     """The same, with everything that a verdict and its page are written from."""
     return find_causes(
         recordings,
-        model or believed(recordings),
+        model or believed(recordings, held_out),
         held_out=held_out,
         block=block,
         without=without,
@@ -69,12 +70,14 @@ def investigate(
     )
 
 
-def believed(recordings: Sequence[Recording]) -> Model:
-    """The model that the first recording's own rig file states. ConfigError where it has none."""
+def believed(recordings: Sequence[Recording], held_out: Recording | None = None) -> Model:
+    """The model that the recordings' own rig files state. ConfigError where the first has none, or
+    where they differ."""
     rig = recordings[0].rig if recordings else None
     if rig is None:
         raise ConfigError(
             "the recording says nothing of its rig: give --rig RIG.toml, or --model MODEL.toml "
             "with [nominal]."
         )
+    check_one_rig(recordings, held_out)
     return rig.model()

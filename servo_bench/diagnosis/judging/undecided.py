@@ -71,23 +71,49 @@ def check_alike(
     one may be twice another.
     """
     most = 1.001 if one_period else LOGGERS
-    every = [*recordings, *([held_out] if held_out is not None else [])]
-    first = every[0]
-    for number, other in enumerate(every[1:], 2):
+    first = recordings[0]
+    for name, other in _others(recordings, held_out):
         mine, theirs = _signals(first), _signals(other)
         if mine != theirs:
             raise ConfigError(
-                f"recording 1 has {_listed(mine)} and recording {number} has {_listed(theirs)}: "
+                f"recording 1 has {_listed(mine)} and {name} has {_listed(theirs)}: "
                 "signals of one diagnosis are compared alike in all of them. Record the same "
                 "channels, or diagnose them one by one."
             )
         slower, faster = sorted((first.period_s, other.period_s), reverse=True)
         if slower > most * faster:
             raise ConfigError(
-                f"recording 1 has a period of {first.period_s:g} s and recording {number} of "
+                f"recording 1 has a period of {first.period_s:g} s and {name} of "
                 f"{other.period_s:g} s: give recordings of one period"
                 f"{'' if one_period else ', or nearly so'}."
             )
+
+
+def check_one_rig(recordings: Sequence[Recording], held_out: Recording | None = None) -> None:
+    """ConfigError where recordings tell of rigs whose nominal values differ: the model of the first
+    one's would be asked to be all of them."""
+    first = recordings[0].rig
+    for name, other in _others(recordings, held_out):
+        if first is None or other.rig is None:
+            continue
+        mine, theirs = first.nominal.model_dump(), other.rig.nominal.model_dump()
+        differ = next((n for n in mine if mine[n] != theirs[n]), None)
+        if differ is not None:
+            raise ConfigError(
+                f"the rig of recording 1 has {differ} = {mine[differ]:g} and that of {name} "
+                f"{theirs[differ]:g}: one diagnosis is of one rig. Give recordings of one, or say "
+                "with --rig RIG.toml or --model MODEL.toml what is believed of all of them."
+            )
+
+
+def _others(
+    recordings: Sequence[Recording], held_out: Recording | None
+) -> Iterator[tuple[str, Recording]]:
+    """All but the first, each with what an error calls it."""
+    for number, other in enumerate(recordings[1:], 2):
+        yield f"recording {number}", other
+    if held_out is not None:
+        yield "the held-out recording", held_out
 
 
 def _signals(recording: Recording) -> tuple[str, ...]:

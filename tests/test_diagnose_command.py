@@ -232,6 +232,16 @@ def test_short_recordings_are_as_long_as_all_of_them(handed: Handed) -> None:
     assert not any("were recorded" in sentence for sentence in both.undecided)
 
 
+def test_a_short_recording_that_fails_tells_why_and_that_it_is_short(handed: Handed) -> None:
+    """The failure is the reason: a longer one would end in it as well."""
+    short = load(handed.seen)
+    short = replace(short, channels={n: v[:700] for n, v in short.channels.items()})
+    told = undecided(FitError("the recording's slots do not rise"), [short])
+    reason, length = told.sentence.index("slots do not rise. "), told.sentence.index("5.6 s were")
+    assert reason < length
+    assert "Record what is missing" not in told.next_run
+
+
 def test_data_of_another_bench_are_judged_by_a_model_of_five_numbers(tmp_path: Path) -> None:
     """No bus, no drive, no limits: a CSV file, a map, and what the drawing says."""
     asked = Question(seed=1507, effect="transport_delay", seconds=8.0, measured=True)

@@ -100,6 +100,15 @@ def test_a_spring_has_no_play() -> None:
     assert (verdict.verdict, verdict.causes) == ("none", ())
 
 
+def test_a_verdict_on_few_seconds_says_so() -> None:
+    for runs, told in ((5, 1), (8, 0)):
+        torque, run = ramps(runs)
+        noise = np.random.default_rng(6).normal(size=run.size)
+        verdict = conclude([locked(torque, 2e-3 * torque + 1e-4 * noise, run)]).verdict
+        assert verdict.verdict == "none"
+        assert sum("8.0 s were recorded" in words for words in verdict.undecided) == told
+
+
 @pytest.mark.parametrize(("true_rad", "declared_rad"), [(0.02, 0.02), (0.02, 0.03), (0.0, 0.02)])
 def test_play_is_an_error_of_the_map_where_it_is_not_what_the_map_declares(
     true_rad: float, declared_rad: float

@@ -19,6 +19,7 @@ from servo_bench.diagnosis.judging.undecided import (
     REPEAT,
     check_alike,
     check_one_rig,
+    few_seconds,
     open_questions,
     undecided,
     what_next,
@@ -76,16 +77,16 @@ def conclude(
     check_apart(recordings, held_out)
     if model is None and not elsewhere:
         model = believed(recordings)
-    same = tuple(same_commands(recordings, held_out))
+    still = (*same_commands(recordings, held_out), *few_seconds(recordings))
     try:
         if model is None:
             judged = judge_open(recordings, held_out=held_out, without=without, only=only)
-            return Concluded(_open_still(_sent_on(judged.verdict), same), None, judged.shown)
+            return Concluded(_open_still(_sent_on(judged.verdict), still), None, judged.shown)
         finding = investigate(
             recordings, model=model, held_out=held_out, without=without, only=only, report=report
         )
         report("writing the verdict")
-        return Concluded(_open_still(_told(finding, without, only), same), finding)
+        return Concluded(_open_still(_told(finding, without, only), still), finding)
     except FAILED as error:
         return Concluded(undecided(error, recordings), None)
 

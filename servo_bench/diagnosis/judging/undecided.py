@@ -18,7 +18,7 @@ ANGLES = ("motor_position_rad", "load_angle_rad")
 EFFORTS = ("current_a", "motor_torque_nm", "motor_current_a", "torque_nm")
 COMMAND = "velocity_command_rad_s"
 ENOUGH_S = 10.0
-"""Below this, identification and validation together are short for any effect."""
+"""Below this, few effects show, and what was held out to judge is short too."""
 SLOW_PERIOD_S, LOGGERS = 0.004, 2.0
 FULL_TURN = 2.0 * np.pi
 SAME_SIZE = 0.02
@@ -136,12 +136,14 @@ def undecided(error: Exception, recordings: Sequence[Recording]) -> Verdict:
     first = recordings[0]
     lacks = tuple(_lacking(recordings))
     is_misread = isinstance(error, ChannelError)
-    why = lacks[0] if lacks and not is_misread else _sentence(error)
+    short = tuple(few_seconds(recordings))
+    why = " ".join((lacks[0] if lacks else _sentence(error), *short))
     next_run = f"Record what is missing. {RECOMMENDED}" if lacks else RECOMMENDED
     return Verdict(
         verdict="unknown",
-        sentence=f"Nothing can be decided from this recording: {why}",
-        undecided=(*lacks, *open_questions(first)),
+        sentence=f"Nothing can be decided from this recording: "
+        f"{_sentence(error) if is_misread else why}",
+        undecided=(*lacks, *open_questions(first), *short),
         next_run=MEND if is_misread else next_run,
         notes=(f"The diagnosis ended before any fit: {_sentence(error)}",),
     )
@@ -174,11 +176,15 @@ def _lacking(recordings: Sequence[Recording]) -> Iterator[str]:
             "Neither the motor's nor the load's angle was recorded: there is nothing to compare a "
             "simulation with. Record load_angle_rad, and motor_position_rad where the drive has it."
         )
+
+
+def few_seconds(recordings: Sequence[Recording]) -> Iterator[str]:
+    """What is open because little was recorded, whatever the verdict."""
     duration_s = sum(len(recording) * recording.period_s for recording in recordings)
     if duration_s < ENOUGH_S:
         yield (
-            f"{duration_s:.1f} s were recorded: of so little no part can be held out to judge. "
-            "Record 40 s or more."
+            f"No more than {duration_s:.1f} s were recorded: so few tell little, and what is small "
+            "or rare was not seen. Record 40 s or more."
         )
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from servo_bench.diagnosis.comparing.evidence import ASKED, Errors, Evidence, evidence_of
 from servo_bench.diagnosis.judging import causes
-from servo_bench.diagnosis.judging.intervals import quantities, standard_errors
+from servo_bench.diagnosis.judging.intervals import cramer_rao, quantities, standard_errors
 from servo_bench.diagnosis.judging.judgement import verdict_of
 from servo_bench.diagnosis.searching.contenders import Contender
 from servo_bench.diagnosis.searching.finding import find_causes, nothing_told
@@ -217,6 +217,21 @@ def test_an_interval_is_wider_than_the_sandwich_and_than_what_every_rig_has(
     assert quantity.standard_error > 2.0 * reached
     assert quantity.standard_error > 0.25 * material_sizes(SCALES)["cogging"]
     assert quantity.ci95[0] < COGGING_NM < quantity.ci95[1]
+
+
+def test_the_bound_knows_what_is_believed_of_every_rig() -> None:
+    """Of one number: 1/bound^2 is the data's information and the belief's. A belief that knows far
+    more than the data is the bound, and what the sandwich reaches is no less than it."""
+    seen = evidence(24, MODEL.with_effect("coulomb", torque_nm=5e-3))
+    free = Unknown("coulomb", "torque_nm", 0.0, 1.0, step=0.005)
+    fitted = seek(seen, MODEL.with_effect("coulomb", torque_nm=4e-3), (free,), seen.floors)
+    (alone,) = cramer_rao(fitted)
+    assert alone == pytest.approx(1.0 / np.linalg.norm(fitted.jacobian))
+    for deviation in (0.01 * alone, alone, 100.0 * alone):
+        found = fitted._replace(unknowns=(replace(free, deviation=deviation),))
+        (bound,) = cramer_rao(found)
+        assert bound**-2.0 == pytest.approx(alone**-2.0 + deviation**-2.0)
+        assert deviation > 0.1 * alone or standard_errors(found)[0] > 0.98 * bound
 
 
 def test_an_interval_ends_where_a_number_has_no_meaning() -> None:

@@ -76,7 +76,7 @@ def standard_errors(found: Found) -> Array:
     beyond = 1.0 + (white / 2.0) ** 2
     rows = found.jacobian
     curvature = rows.T @ (rows * (beyond**-1.5)[:, None])
-    precision = np.diag([u.deviation**-2.0 for u in found.unknowns])
+    precision = _believed(found)
     group = np.tile(found.errors.group, found.errors.rows.shape[0])
     blocks = int(group.max(initial=0)) + 1
     scores = rows * (white / np.sqrt(beyond))[:, None]
@@ -96,8 +96,16 @@ def _inverse(matrix: Array) -> Array:
 
 
 def cramer_rao(found: Found) -> Array:
-    """Least standard deviations of an unbiased estimate at the errors that are left; (numbers,)."""
-    return np.sqrt(np.maximum(np.diag(_inverse(found.jacobian.T @ found.jacobian)), 0.0))
+    """Least standard deviations at the errors that are left, were they independent, of an estimate
+    that believes the same of every rig; (numbers,). Source: Van Trees, Detection, Estimation, and
+    Modulation Theory I (1968), sec. 2.4."""
+    information = found.jacobian.T @ found.jacobian + _believed(found)
+    return np.sqrt(np.maximum(np.diag(_inverse(information)), 0.0))
+
+
+def _believed(found: Found) -> Array:
+    """Information of what is believed of every rig, before any data; none of a cause."""
+    return np.diag([u.deviation**-2.0 for u in found.unknowns])
 
 
 def limits_of(finding: Finding, causes: Sequence[Cause]) -> Iterator[Limit]:

@@ -122,7 +122,8 @@ class Limit(Value):
     detectable: float | None
     """Smallest size found nine times in ten at a false alarm of 1e-3, in `unit`."""
     cramer_rao: float | None
-    """Least standard deviation that any unbiased estimate can have here, in `unit`."""
+    """Least standard deviation that an estimate can have here which believes the same of every rig,
+    were the errors that are left independent; in `unit`."""
     ratio: float | None
     """The standard error reached, over `cramer_rao`."""
 

@@ -41,6 +41,7 @@ from servo_bench.excitation.fields import first_primitive
 from servo_bench.recording.mcap_file import RecordingWriter
 from servo_bench.recording.recording import FAST_DTYPE, SAMPLE_DTYPE
 from servo_bench.rig import load_rig
+from servo_bench.run.command_line import bus_loop_command
 from servo_bench.run.lock import Holder, holder_of, rig_lock_path, take
 from servo_bench.run.table import SlotTable
 from tests.daemon_process import rows_of, write_bench
@@ -261,6 +262,15 @@ def test_systemd_understands_every_line_of_the_unit(tmp_path: Path) -> None:
 
 def test_no_bus_process_is_found_where_none_is() -> None:
     assert bus_processes(os.getpid()) == []
+
+
+def test_a_bus_process_is_known_by_the_command_that_a_session_starts_it_with() -> None:
+    """It waits for its job: nothing comes on its standard input."""
+    command = bus_loop_command(os.getpid())
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as process:
+        assert bus_processes(os.getpid()) == [process.pid]
+        assert bus_processes(os.getpid() + 1) == []
+        process.kill()
 
 
 def test_files_have_plain_names_that_nothing_else_has(tmp_path: Path) -> None:

@@ -11,18 +11,19 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-BUS_LOOP = b"servo_bench.run.busloop"
+from servo_bench.run.command_line import bus_loop_command
+
 LOOK_EVERY_S = 0.02
 
 
 def bus_processes(runner_pid: int) -> list[int]:
     """Process ids of the bus loops that the session `runner_pid` has started and that live."""
-    wanted = [b"-m", BUS_LOOP, str(runner_pid).encode()]
+    wanted = [word.encode() for word in bus_loop_command(runner_pid)[1:]]
     found = []
     for folder in Path("/proc").iterdir():
         if folder.name.isdigit():
             with suppress(OSError):  # it has ended meanwhile
-                if (folder / "cmdline").read_bytes().split(b"\0")[1:4] == wanted:
+                if (folder / "cmdline").read_bytes().split(b"\0")[1:-1] == wanted:
                     found.append(int(folder.name))
     return found
 

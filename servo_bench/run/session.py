@@ -11,7 +11,6 @@ import os
 import select
 import signal
 import subprocess
-import sys
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -35,6 +34,7 @@ from servo_bench.recording.recording import Event
 from servo_bench.rig import RigConfig
 from servo_bench.run.axes import axis_settings
 from servo_bench.run.busloop import Job
+from servo_bench.run.command_line import bus_loop_command
 from servo_bench.run.judge import KINDS
 from servo_bench.run.limits import STOP_GRACE_S, check_schedule
 from servo_bench.run.realtime import PRIORITY
@@ -161,8 +161,7 @@ class _Loop:
 
     def __enter__(self) -> "_Loop":
         self.process = subprocess.Popen(
-            # -P: no module out of the working folder, where somebody may have a `can.py`
-            [sys.executable, "-P", "-m", "servo_bench.run.busloop", str(os.getpid())],
+            bus_loop_command(os.getpid()),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             pass_fds=(self._job.descriptor,),

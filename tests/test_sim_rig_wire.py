@@ -127,8 +127,8 @@ def test_a_master_that_falls_silent_leaves_a_drive_that_stops(master: PlainMaste
     """No SYNC any more, no heartbeat: the rig moves on in real time and brakes by itself."""
     master.sdo(DRIVE, 0x1016, 1, MASTER << 16 | 150)
     master.enable()
-    master.send(HEARTBEAT, b"\x05")
     for _ in range(20):
+        master.send(HEARTBEAT, b"\x05")  # in each: a cycle may take long where the machine is taken
         master.cycle(0x0F, 40_000)
     emergency = master.expect(0x80 + DRIVE)
     assert struct.unpack_from("<H", emergency.data) == (0x8130,)

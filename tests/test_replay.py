@@ -1,6 +1,7 @@
 """A recording played again: into a rig, and through the analysis of today."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -237,6 +238,26 @@ def test_only_a_permission_leads_to_the_rigs_own_bus(
     _call(file, "--against", "rigs/paper.toml", "--wire")
     _call(file, "--against", "rigs/paper.toml", "--permit-real-rig")
     assert opened == [True, False]
+
+
+def test_what_a_run_recorded_that_was_ended_is_kept_and_said(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    targets: list[Path] = []
+
+    def play(_experiment: object, _rig: object, target: Path, *_: object, **__: object) -> None:
+        targets.append(target)
+        if len(targets) > 1:
+            target.write_bytes(b"why")
+        raise LimitError("velocity reached 3 rad/s")
+
+    monkeypatch.setattr("servo_bench.cli.replay.play", play)
+    nothing, ended = (_call(file, "--against", "rigs/paper.toml", "--wire")[2] for _ in range(2))
+    assert "kept" not in str(nothing)
+    assert not targets[0].parent.exists()
+    assert str(ended) == f"velocity reached 3 rad/s What was recorded is kept: {targets[1]}"
+    assert targets[1].read_bytes() == b"why"
+    shutil.rmtree(targets[1].parent)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """`servo-bench check PLAN.toml`: an acceptance plan, judged: pass or fail."""
 
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
@@ -13,6 +12,7 @@ from servo_bench.check.judge import Judgement, judge
 from servo_bench.check.junit import error_xml, judgement_xml
 from servo_bench.check.page import judgement_page
 from servo_bench.check.plan import Plan, load_plan, need_the_plans
+from servo_bench.cli.keeping import recorded_at
 from servo_bench.cli.output import check_outputs, write_bytes, write_json, write_text
 from servo_bench.cli.run import STOPPED_BY_OPERATOR, play, tell_summary
 from servo_bench.errors import BenchError, ConfigError
@@ -97,8 +97,7 @@ def _played(
         if out is not None:
             save(recorded, out)
         return recorded
-    with TemporaryDirectory(prefix="servo-bench-") as folder:
-        target = out or Path(folder) / "check.mcap"
+    with recorded_at(out, "check.mcap") as target:
         summary = play(
             *(experiment, rig, target, console), simulated=not permitted, who="servo-bench check"
         )

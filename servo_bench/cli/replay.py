@@ -2,7 +2,6 @@
 
 import json as json_library
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Literal
 
 import typer
@@ -10,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from servo_bench.catalogue.beside import beside, read_json
+from servo_bench.cli.keeping import recorded_at
 from servo_bench.cli.output import check_outputs, write_json
 from servo_bench.cli.run import play, tell_summary
 from servo_bench.errors import ConfigError, LimitError, RecordingError
@@ -112,8 +112,7 @@ def _against(
 ) -> Replayed:
     if wire and permitted:
         raise ConfigError("--wire starts a software rig, --permit-real-rig moves a real one: one.")
-    with TemporaryDirectory(prefix="servo-bench-") as folder:
-        target = out or Path(folder) / "replay.mcap"
+    with recorded_at(out, "replay.mcap") as target:
 
         def on_a_bus(experiment: Experiment, config: RigConfig) -> Recording:
             summary = play(

@@ -27,6 +27,7 @@ def grid() -> tuple[Plan, ...]:
     return candidates(load_rig(RIG), RIG, MINUTES, PERIOD_S)
 
 
+@pytest.mark.long
 def test_every_candidate_stays_within_the_rigs_limits_and_reads_back(tmp_path: Path) -> None:
     limits, path = load_rig(RIG).limits, tmp_path / "experiment.toml"
     for plan in grid():

@@ -85,6 +85,7 @@ def test_none_is_found_where_there_is_none(seed: int, slowed_rad_s2: float) -> N
     assert again(coasting(MODEL, slowed_rad_s2), seed) is None
 
 
+@pytest.mark.long
 def test_where_nothing_coasts_nothing_is_asked() -> None:
     assert again(SOFT, 64) is None
 

@@ -109,6 +109,7 @@ def test_a_verdict_on_few_seconds_says_so() -> None:
         assert sum("8.0 s were recorded" in words for words in verdict.undecided) == told
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("true_rad", "declared_rad"), [(0.02, 0.02), (0.02, 0.03), (0.0, 0.02)])
 def test_play_is_an_error_of_the_map_where_it_is_not_what_the_map_declares(
     true_rad: float, declared_rad: float
@@ -128,6 +129,7 @@ def test_play_is_an_error_of_the_map_where_it_is_not_what_the_map_declares(
     assert change_rad == pytest.approx(true_rad - declared_rad, abs=1e-3)
 
 
+@pytest.mark.long
 def test_a_twist_that_the_torque_does_not_explain_is_no_spring_s() -> None:
     """It swings by itself, as another shaft's does; not so the noise of a gear that is rigid."""
     torque, run = ramps(5)
@@ -153,6 +155,7 @@ def test_runs_that_are_not_alike_are_not_called_a_spring() -> None:
     assert verdict.next_run
 
 
+@pytest.mark.long
 def test_the_picture_shows_the_errors_of_which_the_verdict_tells() -> None:
     """The page has one, and what it draws has the figures that stand beside it."""
     torque, run = ramps(5)

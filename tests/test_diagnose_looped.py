@@ -53,6 +53,7 @@ def test_weight_and_friction_show_in_the_goal_and_the_position_alone() -> None:
     assert verdict.error.after < 0.5 * verdict.error.before
 
 
+@pytest.mark.long
 def test_a_motion_that_the_loop_does_not_explain_is_not_called_plain() -> None:
     """A torque turns the shaft that nobody recorded, as much as its goal does."""
     t_s, rng = 0.02 * np.arange(700), np.random.default_rng(3)

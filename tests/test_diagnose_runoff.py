@@ -215,6 +215,7 @@ def test_bristles_that_slide_beside_everything_are_plain_friction(asked: bool) -
     assert final.value(f"{kept.effect}.torque_nm") == pytest.approx(FRICTION_NM, rel=0.05)
 
 
+@pytest.mark.long
 def test_of_a_class_that_rest_tells_apart_both_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     """However little the one promised beside others: what was not fitted cannot compete."""
     monkeypatch.setattr(rounds, "FITTED", 1)

@@ -38,6 +38,7 @@ def first(screened: tuple[Screened, ...], effect: str) -> Screened:
     return next(s for s in screened if s.hypothesis.effect == effect)
 
 
+@pytest.mark.long
 def test_a_nuisance_at_its_bound_comes_back_where_the_cause_takes_its_place() -> None:
     """K_T that falls with the current is K_T that is too large, as far as its band allows."""
     hidden = MODEL.with_effect("torque_constant_droop", droop_per_a2=3e-3)

@@ -382,6 +382,7 @@ def without(numbers: dict[str, object], names: set[str]) -> dict[str, object]:
     return {**numbers, **dict.fromkeys(names)}
 
 
+@pytest.mark.long
 def test_what_the_base_had_left_to_gain_is_no_contenders_merit() -> None:
     """The base's open numbers are far from what is hidden; nothing repeats with the shaft."""
     hidden = MODEL.with_effect("coulomb", torque_nm=3e-3).with_effect("viscous", **DAMPED)

@@ -9,6 +9,7 @@ from servo_bench.errors import ConfigError
 from tests.truth import volterra_plants
 
 
+@pytest.mark.long
 def test_the_papers_figures_and_their_ceilings_are_reproduced() -> None:
     numbers = json.loads(json.dumps(volterra.paper(volterra_plants)))
     for plant, tolerance in (("zero", 0.3), ("no_zero", 0.5)):

@@ -36,6 +36,7 @@ def test_no_hang_nothing_left_moving_and_the_right_cause_named(part: int, tmp_pa
     assert figures["right"] == EACH, figures["wrong"]
 
 
+@pytest.mark.long
 def test_a_scenario_is_repeatable(tmp_path: Path) -> None:
     for number in range(len(MAKERS)):
         first, again = (run_scenario(scenario(3, number), tmp_path) for _ in range(2))

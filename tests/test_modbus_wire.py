@@ -47,6 +47,12 @@ def tcp_rig() -> Iterator[RigConfig]:
     yield from started("modbus-tcp")
 
 
+@pytest.fixture(scope="module")
+def untouched_rig() -> Iterator[RigConfig]:
+    """One for all who are refused before the drive is asked for anything that lasts."""
+    yield from started("modbus-tcp")
+
+
 def started(name: str) -> Iterator[RigConfig]:
     config = load_rig(f"rigs/{name}.toml").on_a_free_port()
     with spawn(config.simulation_settings()) as running:
@@ -118,13 +124,18 @@ def test_the_rig_moves_as_it_is_told_and_the_load_follows(rig: RigConfig) -> Non
     ],
 )
 def test_a_configuration_that_is_not_this_rig_is_refused(
-    tcp_rig: RigConfig, tmp_path: Path, drive: dict[str, int], error: type[BenchError], words: str
+    untouched_rig: RigConfig,
+    tmp_path: Path,
+    drive: dict[str, int],
+    error: type[BenchError],
+    words: str,
 ) -> None:
-    other = tcp_rig.model_copy(update={"drive": tcp_rig.drive.model_copy(update=drive)})
+    table = {"drive": untouched_rig.drive.model_copy(update=drive)}
+    other = untouched_rig.model_copy(update=table)
     with pytest.raises(error, match=words):
         run(experiment(), other, tmp_path / "run.mcap")
     assert list(tmp_path.iterdir()) == []
-    assert_standing(tcp_rig)
+    assert_standing(untouched_rig)
 
 
 def test_a_line_that_cannot_hold_the_period_is_refused_before_a_file_is_opened(

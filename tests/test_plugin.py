@@ -173,6 +173,7 @@ def test_of_what_was_played(played):
 """
 
 
+@pytest.mark.long
 def test_a_failure_in_a_fixture_after_a_run_leaves_its_page_too(
     stranger: Stranger, pytester: pytest.Pytester
 ) -> None:

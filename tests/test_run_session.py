@@ -45,9 +45,19 @@ def experiment(seconds: float = 2.0, amplitude_rad_s: float = 2.0) -> Experiment
 @pytest.fixture
 def rig() -> Iterator[RigConfig]:
     """A software rig of its own on a free port."""
+    yield from started()
+
+
+@pytest.fixture(scope="module")
+def untouched_rig() -> Iterator[RigConfig]:
+    """One for all who are refused before the drive is asked for anything that lasts."""
+    yield from started()
+
+
+def started() -> Iterator[RigConfig]:
     config = load_rig("rigs/paper.toml").on_a_free_port()
-    with spawn(config.simulation_settings()) as started:
-        yield config.with_bus(**started.bus)
+    with spawn(config.simulation_settings()) as running:
+        yield config.with_bus(**running.bus)
 
 
 def assert_standing(rig: RigConfig) -> None:
@@ -286,28 +296,28 @@ def test_no_module_out_of_the_working_folder_gets_into_the_bus_process(
 
 @pytest.mark.parametrize(("error", "words", "change"), REFUSALS, ids=[row[1] for row in REFUSALS])
 def test_what_cannot_be_played_is_refused_and_leaves_no_file(
-    rig: RigConfig,
+    untouched_rig: RigConfig,
     tmp_path: Path,
     error: type[BenchError],
     words: str,
     change: dict[str, dict[str, object]],
 ) -> None:
-    table = rig.model_dump(mode="json")
+    table = untouched_rig.model_dump(mode="json")
     for name, keys in change.items():
         table[name] |= keys
     with pytest.raises(error, match=words):
         run(experiment(), RigConfig.model_validate(table), tmp_path / "run.mcap")
     assert list(tmp_path.iterdir()) == []
-    assert_standing(rig)
+    assert_standing(untouched_rig)
 
 
 def test_a_period_that_the_drive_refuses_is_said_with_both_numbers(
-    rig: RigConfig, tmp_path: Path
+    untouched_rig: RigConfig, tmp_path: Path
 ) -> None:
     slow = experiment().model_copy(update={"period_s": 0.2})
     with pytest.raises((DriveError, ConfigError), match=r"0x60C2|period"):
-        run(slow, rig, tmp_path / "run.mcap")
-    assert_standing(rig)
+        run(slow, untouched_rig, tmp_path / "run.mcap")
+    assert_standing(untouched_rig)
 
 
 def test_kernels_that_the_sequence_cannot_give_are_refused_before_the_run(

@@ -26,6 +26,7 @@ def said(*arguments: str) -> str:
     return " ".join(done.output.split())
 
 
+@pytest.mark.long
 def test_search_recommends_and_writes_what_it_found(tmp_path: Path) -> None:
     out = tmp_path / "found.json"
     text = said("search", "--degree", "12", "--memory", "18", "--order", "3", "--json", str(out))

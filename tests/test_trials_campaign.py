@@ -109,6 +109,7 @@ def test_a_campaign_that_cannot_be_asked_says_why(asked: dict[str, Any], said: s
         Campaign(**asked).questions()
 
 
+@pytest.mark.long
 def test_a_killed_campaign_goes_on_and_ends_as_if_it_had_not_been(tmp_path: Path) -> None:
     path, whole = tmp_path / "killed.jsonl", tmp_path / "whole.jsonl"
     process = subprocess.Popen(

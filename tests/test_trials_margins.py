@@ -13,6 +13,7 @@ def cogging(multiple: float) -> Question:
     return Question(seed=1904, effect="cogging", multiple=multiple)
 
 
+@pytest.mark.long
 def test_a_cause_that_is_linear_is_twice_as_far_out_at_twice_its_size() -> None:
     near, far = (margin_of(cogging(multiple)) for multiple in (2.0, 4.0))
     assert far == pytest.approx(2.0 * near, rel=0.02)

@@ -76,7 +76,6 @@ def run(*words: object) -> str:
     return str(found.exception)
 
 
-@pytest.mark.long
 def test_the_hidden_cause_is_named_and_told(done: Done) -> None:
     assert done.verdict.names == ("cogging",)
     assert done.verdict.sentence in done.output.replace("\n", " ")

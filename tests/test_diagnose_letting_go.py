@@ -25,12 +25,11 @@ RUBS = {"torque_nm": 0.012}
 @pytest.mark.parametrize(
     ("only", "named"),
     [
-        (("thermal_friction",), ()),
-        (("thermal_friction", "coulomb"), ("coulomb",)),
-        (("coulomb",), ("coulomb",)),
+        pytest.param(("thermal_friction",), (), marks=pytest.mark.nightly),
+        pytest.param(("thermal_friction", "coulomb"), ("coulomb",), marks=pytest.mark.long),
+        pytest.param(("coulomb",), ("coulomb",), marks=pytest.mark.nightly),
     ],
 )
-@pytest.mark.long
 def test_a_neighbour_of_what_is_not_asked_has_no_name(
     only: tuple[str, ...], named: tuple[str, ...]
 ) -> None:

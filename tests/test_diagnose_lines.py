@@ -214,8 +214,10 @@ def test_commands_that_do_not_come_again_have_no_period() -> None:
     assert period_of(np.full(900, np.nan)) == 0
 
 
-@pytest.mark.parametrize("seed", [45, 46])
-@pytest.mark.long
+@pytest.mark.parametrize(
+    "seed",
+    [pytest.param(45, marks=pytest.mark.long), pytest.param(46, marks=pytest.mark.nightly)],
+)
 def test_a_faint_scale_is_a_cause_and_the_extended_rig_has_it(seed: int) -> None:
     wave = {"amplitude_rad": 5e-5, "line_order": float(LINES), "phase_rad": -1.1}
     recording = recorded(MODEL.with_effect(SCALE, **wave), seed, slots=SLOTS)

@@ -39,8 +39,10 @@ def integral_a(model: Model, played: NDArray[np.float64]) -> NDArray[np.float64]
     )
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("seed", [61, 62])
+@pytest.mark.parametrize(
+    "seed",
+    [pytest.param(61, marks=pytest.mark.long), pytest.param(62, marks=pytest.mark.nightly)],
+)
 def test_a_clamp_that_no_validation_asks_for_is_named(seed: int) -> None:
     played = commands(seed)
     reached = integral_a(MODEL, played)
@@ -54,7 +56,7 @@ def test_a_clamp_that_no_validation_asks_for_is_named(seed: int) -> None:
     assert found.value == pytest.approx(1.0 / clamp_a, rel=0.03)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_so_is_one_that_a_load_which_coasts_shows_alone() -> None:
     """What the load does in its gap is more of the cost than a clamp that acts rarely."""
     played = commands(64)

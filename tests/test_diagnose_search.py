@@ -306,17 +306,18 @@ def test_what_is_not_sure_has_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
     assert any("coulomb" in note for note in none.notes)
 
 
+ONE_SIDED = {"difference_torque_nm": 0.008, "transition_rad_s": 0.7}
+LOADED = {"loss_fraction": 0.25, "transition_rad_s": 0.7}
 STUCK = {"torque_nm": 0.05, "breakaway_angle_rad": 3e-4}
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("effect", "hidden"),
     [
-        ("cogging", THREE_ORDERS),
-        ("asymmetric_friction", {"difference_torque_nm": 0.008, "transition_rad_s": 0.7}),
-        ("load_dependent_friction", {"loss_fraction": 0.25, "transition_rad_s": 0.7}),
-        ("pre_sliding", STUCK),
+        pytest.param("cogging", THREE_ORDERS, marks=pytest.mark.long),
+        pytest.param("asymmetric_friction", ONE_SIDED, marks=pytest.mark.nightly),
+        pytest.param("load_dependent_friction", LOADED, marks=pytest.mark.nightly),
+        pytest.param("pre_sliding", STUCK, marks=pytest.mark.long),
     ],
 )
 def test_a_strong_cause_is_named_alone_with_all_its_numbers(

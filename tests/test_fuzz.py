@@ -10,7 +10,7 @@ from tests.fuzz_targets import TARGETS, examples
 COUNT = 1_500
 
 
-@pytest.mark.parametrize("count", [COUNT, pytest.param(10_000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("count", [COUNT, pytest.param(10_000, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("name", TARGETS)
 def test_only_our_errors_come_out(name: str, count: int) -> None:
     target = TARGETS[name]

@@ -75,8 +75,8 @@ def _with_nothing_that_can_be_left_out() -> Recording:
     ("make", "said"),
     [
         pytest.param(*(_without_standstill, "noise ceiling not known"), marks=pytest.mark.long),
-        pytest.param(*(_without_device_time, "nominal clock"), marks=pytest.mark.long),
-        pytest.param(*(_all_on_time, "0 µs"), marks=pytest.mark.long),
+        pytest.param(*(_without_device_time, "nominal clock"), marks=pytest.mark.nightly),
+        pytest.param(*(_all_on_time, "0 µs"), marks=pytest.mark.nightly),
         pytest.param(*(_one_row_missing, "1 of 4963 slots were missed"), marks=pytest.mark.long),
         pytest.param(*(_answers_missing, "answers missing: 5"), marks=pytest.mark.long),
         (_with_nothing_that_can_be_left_out, "lateness_s was not recorded"),

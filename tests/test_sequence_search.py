@@ -46,7 +46,7 @@ def test_there_are_as_many_as_euler_counts(degree: int) -> None:
         (16, 135, 34, 24, 35),
         (17, 181, 43, 27, 43),
         (18, 225, 49, 31, 49),
-        pytest.param(*(20, 391, 68, 41, 68), marks=pytest.mark.long),
+        pytest.param(*(20, 391, 68, 41, 68), marks=pytest.mark.nightly),
     ],
 )
 def test_the_best_of_a_degree_reach_what_an_independent_search_found(

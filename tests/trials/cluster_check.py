@@ -26,7 +26,7 @@ from tests.campaign import main as campaign
 
 SMALL = (
     *("--effects", "transport_delay", "--seeds", "1", "--nulls", "1"),
-    *("--first-seed", "1300", "--seconds", "12"),
+    *("--first-seed", "1300", "--seconds", "6"),
 )
 WORKERS = 2
 

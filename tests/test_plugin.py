@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from servo_bench.excitation.enumeration import primitive_polynomials
 from servo_bench.pytest_plugin.failure import page_name
 
 ROOT = Path(__file__).parent.parent
@@ -28,6 +29,13 @@ SMALL = Experiment(
 
 
 pytest_plugins = ["pytester"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiler_is_there() -> None:
+    """What a pytest within this process imports is forgotten at its end, and the compiler cannot be
+    imported twice: whoever compiles in this process afterwards would fail."""
+    primitive_polynomials(5)
 
 
 @pytest.fixture

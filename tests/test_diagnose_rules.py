@@ -28,9 +28,37 @@ MODEL = Model(NOMINAL)
 SCALES = Scales(0.05, 3.0, 0.7, (1.5, 1.2, 1.0), (1.0, 0.8, 0.5), 6.0, 5.0, 0.02, 2e-4)
 
 
-def contender(seen: tuple[float, float], held: tuple[float, float]) -> Any:
+def contender(
+    seen: tuple[float, float],
+    held: tuple[float, float],
+    effect: str = "cogging",
+    *,
+    model: Model = MODEL,
+) -> Any:
     """Gain and z of what was seen, and of what was held out."""
-    return SimpleNamespace(seen_gain=seen[0], seen_z=seen[1], held_gain=held[0], held_z=held[1])
+    return SimpleNamespace(
+        effect=effect,
+        seen_gain=seen[0],
+        seen_z=seen[1],
+        held_gain=held[0],
+        held_z=held[1],
+        found=SimpleNamespace(model=model),
+    )
+
+
+@pytest.mark.parametrize(("ratio", "able"), [(0.04, True), (0.3, True), (1.5, False)])
+@pytest.mark.parametrize("share", [0.1, 0.9])
+def test_a_coupling_that_does_not_ring_is_none(ratio: float, share: float, able: bool) -> None:
+    """A spring k between the two parts of J is damped by d = 2 ratio sqrt(k J (1 - a) a)."""
+    compliance, inertia = 2e-3, NOMINAL.inertia_kg_m2
+    damping = 2.0 * ratio * np.sqrt(inertia * share * (1.0 - share) / compliance)
+    model = MODEL.with_effect(
+        "coupling_compliance",
+        compliance_rad_per_nm=compliance,
+        damping_s=float(damping * compliance),
+        load_inertia_kg_m2=share * inertia,
+    )
+    assert passes(contender((0.3, 20.0), (0.3, 20.0), model=model)) is able
 
 
 @pytest.mark.parametrize(
@@ -164,10 +192,8 @@ def test_what_warms_is_kept_where_what_came_last_misses_it(
 
 @pytest.mark.parametrize(("z", "able"), [(5.2, False), (7.4, True)])
 def test_a_spring_is_surer_than_others_where_all_is_right_already(z: float, able: bool) -> None:
-    both: list[Any] = [
-        SimpleNamespace(effect=effect, seen_gain=0.19, seen_z=z, held_gain=0.15, held_z=z)
-        for effect in ("coupling_compliance", "cogging")
-    ]
+    effects = ("coupling_compliance", "cogging")
+    both = [contender((0.19, z), (0.15, z), effect) for effect in effects]
     assert [passes(one, right=True) for one in both] == [able, True]
     assert all(passes(one) for one in both)
 
@@ -188,7 +214,7 @@ def test_beside_a_load_that_coasts_a_little_of_the_cost_is_enough_where_it_is_be
     effect: str, gain: float, z: float, able: bool
 ) -> None:
     """Not for a spring, nor for what every rig has up to nearly a cause's size."""
-    one: Any = SimpleNamespace(effect=effect, seen_gain=gain, seen_z=z, held_gain=gain, held_z=z)
+    one = contender((gain, z), (gain, z), effect)
     assert passes_beside_coasting(one, right=True) is able
 
 
@@ -204,13 +230,7 @@ def test_beside_a_load_that_coasts_a_little_of_the_cost_is_enough_where_it_is_be
 def test_a_spring_that_stands_far_out_need_not_take_much_of_what_was_held_out(
     seen_gain: float, seen_z: float, held_z: float, able: bool
 ) -> None:
-    one: Any = SimpleNamespace(
-        effect="coupling_compliance",
-        seen_gain=seen_gain,
-        seen_z=seen_z,
-        held_gain=0.017,
-        held_z=held_z,
-    )
+    one = contender((seen_gain, seen_z), (0.017, held_z), "coupling_compliance")
     assert passes_beside_coasting(one, right=True) is able
     assert not passes(one, right=True)
 

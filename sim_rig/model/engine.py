@@ -26,7 +26,7 @@ from sim_rig.model.skeleton import MEMORY
 HELPERS = (
     *("lesser", "greater", "saturated", "propagator"),
     *("sprung", "swung", "oscillate", "twisted", "upward", "left_at", "piece_of", "meet"),
-    *("reach", "share_pushed"),
+    *("nearer", "reach", "share_pushed"),
 )
 _SIGNATURE = "b1(f8[::1],f8[::1],f8[::1],f8[::1],f8[::1],f8[:,::1],i8,f8,f8[:,::1])"
 

@@ -7,19 +7,23 @@ changes whenever an effect's file does.
 
 import inspect
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from sim_rig.effects.effect import Effect, Port
-from sim_rig.model import contact, lesser, play, propagator, saturated, skeleton
+from sim_rig.model import contact, holding, lesser, play, propagator, saturated, skeleton
 from sim_rig.model.inline import Inlined, inline
 
-_MARKER = re.compile(r"^(?P<indent> *)# (?P<what>parameters|memory|pack|port (?P<port>\w+))$")
+_MARKER = re.compile(
+    r"^(?P<indent> *)# (?P<what>parameters|memory|pack|(port|keep) (?P<port>\w+))$"
+)
 
 
 _SPRINGS = {
     Port.TRANSMISSION: ("compliance", "damping", "load_inertia", "slope"),
     Port.COUPLING: ("shaft_compliance", "shaft_damping", "hub_inertia"),
 }
+_KEPT = {Port(name) for name in re.findall(r"# keep (\w+)", inspect.getsource(skeleton.run))}
+"""Ports that are asked more than once in a step: what is remembered is taken on once."""
 
 
 def parameter_names(effects: Mapping[str, Effect]) -> list[tuple[str, str]]:
@@ -54,6 +58,7 @@ def page_text(effects: Mapping[str, Effect]) -> str:
             contact.left_at,
             contact.piece_of,
             contact.meet,
+            holding.nearer,
             play.reach,
             play.share_pushed,
         )
@@ -74,6 +79,7 @@ def page_text(effects: Mapping[str, Effect]) -> str:
         "",
         f"CLOSED, MECHANICS, MOTION = {skeleton.CLOSED}, {skeleton.MECHANICS}, {skeleton.MOTION}",
         f"QUEUE, HEAD, MEMORY = {skeleton.QUEUE}, {skeleton.HEAD}, {skeleton.MEMORY}",
+        f"ATTEMPTS, HELD = {holding.ATTEMPTS}, {holding.HELD}",
         f"IMPACT_S, FINER = {skeleton.IMPACT_S}, {skeleton.FINER}",
         f"OUT_RAD = {contact.OUT_RAD}",
     ]
@@ -98,24 +104,39 @@ def _written(effects: Mapping[str, Effect], marker: re.Match[str]) -> Iterator[s
         port = Port(marker["port"])
         yield f"# {port}"
         for effect in effects.values():
-            if effect.port is port:
+            if effect.port is port and marker["what"].startswith("keep"):
+                yield from _kept(effect)
+            elif effect.port is port:
                 yield from _entered(effect)
+
+
+def _acts(effect: Effect) -> str:
+    return " or ".join(f"{effect.name}_{name} != 0.0" for name in effect.strengths)
+
+
+def _kept(effect: Effect) -> Iterator[str]:
+    """What one effect remembers of its port, where that is asked more than once."""
+    if effect.memory is not None:
+        yield f"if {_acts(effect)}:"
+        yield from (f"    {line}" for line in _taken_on(effect, effect.memory._fields))
+
+
+def _taken_on(effect: Effect, fields: Iterable[str]) -> list[str]:
+    return [f"{effect.name}_z_{field} = {effect.name}_new_{field}" for field in fields]
 
 
 def _entered(effect: Effect) -> Iterator[str]:
     """One effect at its port. Law and advance both see the value that comes in."""
-    test = " or ".join(f"{effect.name}_{name} != 0.0" for name in effect.strengths)
-    yield f"if {test}:  # {effect.summary}"
+    yield f"if {_acts(effect)}:  # {effect.summary}"
     body = inline(effect, effect.law)
     lines, last = body.lines, []
     if effect.advance is not None and effect.memory is not None:
         after = inline(effect, effect.advance)
         new = [f"{effect.name}_new_{field}" for field in effect.memory._fields]
-        old = [f"{effect.name}_z_{field}" for field in effect.memory._fields]
         shared = _shared(after.lines, body.lines)
         ends = [f"{n} = {value}" for n, value in zip(new, after.value, strict=True)]
         lines = [*after.lines, *ends, *body.lines[shared:]]
-        last = [f"{o} = {n}" for o, n in zip(old, new, strict=True)]
+        last = [] if effect.port in _KEPT else _taken_on(effect, effect.memory._fields)
     for line in (*lines, *_handed_on(effect, body), *last):
         yield f"    {line}"
 

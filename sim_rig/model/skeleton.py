@@ -1,7 +1,8 @@
 """The rig, step after step, without any effect: what the compiled page is made from.
 
-Every line `# port NAME` is where the effects of that port are written in (see `page`). As it
-stands this is the ideal rig, and runs.
+Every line `# port NAME` is where the effects of that port are written in (see `page`); where that
+is more than once, `# keep NAME` is where they take what they remember on. As it stands this is the
+ideal rig, and runs.
 
 Time stepping. The ideal loop is linear and is propagated exactly (see `propagator`). What effects
 change is a deviation from it: an acceleration and an integrator rate, taken at the middle of the
@@ -16,7 +17,8 @@ about to be met, or a limit to let go, steps are FINER times as fine for IMPACT_
 
 Transmission. With no compliance the play is rigid: y <- min(max(y, theta - W/2), theta + W/2),
 after every step and where the motor turned around within it; torques on the load reach the motor
-while it pushes against them. With compliance the load is a mass behind the gap (see `contact`).
+while it pushes against them. With compliance the load is a mass behind the gap (see `contact`), and
+what brakes it is found where it stops (see `holding`).
 
 Slots are cut where a delayed command comes into force. Each piece has three parts: a look under
 the command that now holds, the steps, and a look at the end.
@@ -42,6 +44,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_rig.model.contact import meet, piece_of, sprung, swung, twisted
+from sim_rig.model.holding import ATTEMPTS, HELD, nearer
 from sim_rig.model.lesser import greater, lesser
 from sim_rig.model.play import reach, share_pushed
 from sim_rig.model.propagator import propagator
@@ -313,16 +316,40 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
                     spun_nm, late_spun = 0.0, 0.0
                     free = acceleration if mode == MOTION else torque * per_motor
                     if two_masses:
-                        apart = shaft_nm * per_hub if coupled else free
-                        apart -= load_torque_nm * per_load
+                        outer = shaft_nm * per_hub if coupled else free
+                        apart = outer - load_torque_nm * per_load
                         if step_s > 0.0:
                             x, v = hub - load, hub_rate - load_rate
-                            ahead, closing = meet(
-                                *(x, v, apart, damping_s, slope),
-                                *(face_delta, face_square, face_soft),
-                                *(gap, step_s, pressed_s, pressed_c, pressed_sine),
-                            )
-                            impulse = (v + apart * step_s - closing) * moved_kg_m2
+                            low_nm, low_by, high_nm, high_by, kept = 0.0, 0.0, 0.0, 0.0, 0.0
+                            found = False
+                            for attempt in range(ATTEMPTS):
+                                apart = outer - load_torque_nm * per_load
+                                ahead, closing = meet(
+                                    *(x, v, apart, damping_s, slope),
+                                    *(face_delta, face_square, face_soft),
+                                    *(gap, step_s, pressed_s, pressed_c, pressed_sine),
+                                )
+                                impulse = (v + apart * step_s - closing) * moved_kg_m2
+                                ended = load_rate + (impulse + load_torque_nm * step_s) * per_load
+                                if found or (attempt == 0 and load_velocity_rad_s * ended > 0.0):
+                                    break
+                                # it turned: would what brakes it then turn it back? (see `holding`)
+                                tried_nm, load_velocity_rad_s = load_torque_nm, ended
+                                load_torque_nm = 0.0
+                                # port load_torque_nm
+                                by = load_torque_nm - tried_nm
+                                if attempt == 0:
+                                    low_nm, low_by, found = tried_nm, by, by == 0.0
+                                elif attempt == 1 and low_by * by >= 0.0:
+                                    found = True
+                                    load_torque_nm = tried_nm if load_rate * ended > 0.0 else low_nm
+                                else:
+                                    low_nm, low_by, high_nm, high_by, kept, next_nm = nearer(
+                                        low_nm, low_by, high_nm, high_by, kept, tried_nm, by
+                                    )
+                                    near = abs(by) <= HELD * abs(high_nm - low_nm)
+                                    found = near or attempt == ATTEMPTS - 2
+                                    load_torque_nm = tried_nm if near else next_nm
                             contact_torque_nm = impulse * per_step
                             late = (x + (v + apart * half_s) * step_s - ahead) * moved_kg_m2
                             late -= impulse * half_s
@@ -339,6 +366,7 @@ def run(  # noqa: PLR0912, PLR0915, PLR0917 - one page to be read from top to bo
                             if mode != MOTION and not coupled:
                                 acceleration -= contact_torque_nm * per_motor
                                 pull = acceleration
+                    # keep load_torque_nm
                     if coupled:
                         wound = free + contact_torque_nm * per_hub
                         if step_s > 0.0:

@@ -43,7 +43,7 @@ HUB_SHARES, RINGING = (0.15, 0.3, 0.5), 0.03
 """Of the inertia, behind a coupling that gives way; and its damping over the critical one."""
 VEHICLE, LOAD_SHARE = "contact", 0.04
 """What gives the load a mass of its own; and how much of the inertia is behind its gap."""
-FACES_RAD_PER_NM, SLOWED_RAD_S2 = (5e-3, 1.5e-2), (150.0, 500.0, 1500.0, 5000.0)
+FACES_RAD_PER_NM, SLOWED_RAD_S2 = (5e-3, 1.5e-2), (150.0, 500.0, 1500.0, 5e3, 1.5e4, 4.5e4)
 """Of a load whose friction is known and whose mass is not: its faces, how fast it slows down."""
 BOUNCING, SLOPE_S_PER_RAD = 0.03, 0.15
 """What faces take of a blow: as a damping ratio, and more of a fast one."""

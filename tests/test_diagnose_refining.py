@@ -46,7 +46,7 @@ def test_bristles_that_only_slide_are_none(bristle_rad: float, shows: bool) -> N
     assert shows_itself(seen, base, found, "pre_sliding") is shows
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_plain_friction_has_no_name_of_what_refines_it() -> None:
     """18 mN m in the truth, and none of its own names asked: friction that warms fitted 44 s of it,
     with magnets that warm to make up for what it said too much."""

@@ -3,6 +3,7 @@
 import json
 import math
 import signal
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,7 @@ from servo_bench.cli.app import app
 from servo_bench.cli.doctor import _move
 from servo_bench.errors import WireError
 from servo_bench.excitation.experiment import Experiment
+from servo_bench.recording.mcap_file import load
 from servo_bench.rig import RigConfig, load_rig
 from servo_bench.run.doctor import canopen, host, modbus, move
 from servo_bench.run.finding import Finding, Level
@@ -80,9 +82,14 @@ def test_what_the_file_says_otherwise_is_named_with_what_to_change(
 
 @pytest.mark.wire
 def test_an_encoder_with_the_wrong_sign_trips_early_and_the_change_is_said(
-    rig: RigConfig,
+    rig: RigConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = stops(move.examine(changed(rig, encoder={"direction": -1}), PERIOD_S))
+    """And what was recorded until then is kept: it shows more than a sentence can."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    findings = move.examine(changed(rig, encoder={"direction": -1}), PERIOD_S)
+    (kept,) = (f.text.split(": ", 1)[1] for f in findings if f.subject == "recording")
+    assert load(Path(kept), allow_cut=True).channels["load_angle_rad"].size
+    found = stops(findings)
     assert "encoders disagree" in found["move"] or "left the motor's" in found["move"]
     assert "Set encoder.direction = 1." in found["load encoder"]
     assert "motor" not in found

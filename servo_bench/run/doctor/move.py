@@ -11,6 +11,7 @@ An encoder with a wrong sign trips (`drivers.plausible`) before the shaft has go
 """
 
 import math
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -75,20 +76,26 @@ def examine(
 ) -> list[Finding]:
     """Move and judge; what is asked as in `run`. Raises BenchError where the drive cannot even be
     prepared, or is not left as it was found."""
-    stopped_early = False
-    with _lowered(rig, period_s) as (careful, finding), tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "move.mcap"
-        ended: BenchError | None = None
-        try:
-            move = there_and_back(period_s)
-            done = run(move, careful, out, stop=stop_asked, stopped_by=stopped_by)
-            stopped_early = done.stopped_early
-        except BenchError as error:
-            ended = error
-        recording = load(out, allow_cut=True) if out.exists() else None
+    folder, kept = Path(tempfile.mkdtemp(prefix="servo-bench-")), False
+    out = folder / "move.mcap"
+    try:
+        with _lowered(rig, period_s) as (careful, finding):
+            stopped_early, ended = False, None
+            try:
+                move = there_and_back(period_s)
+                done = run(move, careful, out, stop=stop_asked, stopped_by=stopped_by)
+                stopped_early = done.stopped_early
+            except BenchError as error:
+                ended = error
+            recording = load(out, allow_cut=True) if out.exists() else None
+            kept = ended is not None and out.exists()
+    finally:
+        if not kept:
+            shutil.rmtree(folder, ignore_errors=True)
     if stopped_early:
         return [finding, stop("move", f"it was ended by {stopped_by()}: repeat it.")]
-    return [finding, *judge(recording, careful, ended)]
+    where = [note("recording", f"of the move as far as it came: {out}")] if kept else []
+    return [finding, *judge(recording, careful, ended), *where]
 
 
 @contextmanager

@@ -7,6 +7,8 @@ import pytest
 
 from servo_bench.diagnosis.searching import in_two as here
 from servo_bench.diagnosis.searching.in_two import in_two
+from sim_rig.model import Model
+from tests.fit_recordings import NOMINAL
 
 DROOP, FRICTION = "torque_constant_droop", "load_dependent_friction"
 
@@ -15,7 +17,8 @@ def one(effect: str, *gains: float) -> Any:
     """Gain and z of what was seen, and of what was held out."""
     names = ("seen_gain", "seen_z", "held_gain", "held_z")
     told = dict(zip(names, gains, strict=True))
-    return SimpleNamespace(effect=effect, found=None, hypothesis=None, **told)
+    found = SimpleNamespace(model=Model(NOMINAL))
+    return SimpleNamespace(effect=effect, found=found, hypothesis=None, **told)
 
 
 HALF = one(DROOP, 0.88, 7.8, -0.36, -5.1)

@@ -9,7 +9,7 @@ import pytest
 
 from servo_bench.diagnosis.judging.causes import cause_of, leaves_no_doubt
 from servo_bench.diagnosis.judging.judgement import _explained, _has_a_name
-from servo_bench.diagnosis.judging.verdict import Cause
+from servo_bench.diagnosis.judging.verdict import Cause, Quantity
 from servo_bench.diagnosis.searching import joint, rounds
 from servo_bench.diagnosis.searching.accepting import with_a_name
 from servo_bench.diagnosis.searching.contenders import Round, _is_alike
@@ -366,6 +366,30 @@ def test_who_is_a_rival_of_a_cause(
     told = cause_of(one, {}, there)
     assert told.rival == rival
     assert told.ambiguous_with == ("cogging",)
+
+
+@pytest.mark.parametrize(
+    ("bends_rad", "there", "as_well"),
+    [
+        (1.5e-5, frozenset(), ("coulomb",)),
+        (1e-4, frozenset(), ()),
+        (1.5e-5, frozenset({"coulomb"}), ()),
+    ],
+)
+def test_bristles_of_any_bearing_are_plain_friction_as_well(
+    bends_rad: float, there: frozenset[str], as_well: tuple[str, ...]
+) -> None:
+    fitted: Any = SimpleNamespace(effect="pre_sliding", costs=np.full(40, 10.0), total=400.0)
+    played = SimpleNamespace(
+        contenders=[fitted], near=lambda _: (), base_costs=fitted.costs + 90.0, screened=()
+    )
+    one: Any = SimpleNamespace(
+        effect="pre_sliding", missed_z=None, round=played, contender=fitted, as_well=frozenset()
+    )
+    angle = Quantity(value=bends_rad, unit="rad", ci95=(0.0, 1.0), standard_error=1e-6)
+    told = cause_of(one, {"pre_sliding.breakaway_angle_rad": angle}, there)
+    assert told.ambiguous_with == as_well
+    assert bool(told.splitting_experiment) is bool(as_well)
 
 
 @pytest.mark.parametrize(("seen", "held", "worth"), [(0.02, 0.12, False), (0.06, 0.12, True)])

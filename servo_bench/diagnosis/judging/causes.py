@@ -18,6 +18,7 @@ from servo_bench.diagnosis.searching.finding import Finding
 from servo_bench.diagnosis.searching.gate import HELD_Z, MOST_OF_IT, WARMS, grows, together
 from servo_bench.diagnosis.searching.hypotheses import SPRINGS
 from servo_bench.diagnosis.searching.joint import Named
+from servo_bench.diagnosis.searching.refining import BRISTLES, PLAIN
 from servo_bench.diagnosis.searching.unlike import rivals_of
 from sim_rig.effects import find_effect
 from sim_rig.model import Model
@@ -27,6 +28,9 @@ SURE = 6.0
 unless what it gains stands that far beyond chance, seen and held out, or both together and neither
 little; or is most of all; or warms, which what was held out shows."""
 FEWEST_LOST = 1
+ANY_BEARING_RAD = 3e-5
+"""Up to which every bearing gives way before it slides: tenths of a micrometre. Plain friction of
+bearings that bend by 2e-5 rad was named by how it begins, three times in five."""
 BESIDE_NOTHING = 1.96
 """Standard errors up to which a further line of an effect is none."""
 
@@ -105,7 +109,8 @@ def cause_of(
     rival = next(iter(rivals_of(one, there)), None)
     over = block_z(one.contender.costs, rival.costs) if rival is not None else None
     evidence = block_z(one.contender.costs, one.round.base_costs)
-    ambiguous = tuple(sorted(members | (near - there) | one.as_well))
+    plain = _as_any_bearing(one.effect, numbers) - there
+    ambiguous = tuple(sorted(members | (near - there) | one.as_well | plain))
     return Cause(
         effect=one.effect,
         parameters=_of_effect(one.effect, numbers),
@@ -116,6 +121,14 @@ def cause_of(
         rival=rival.effect if rival is not None else None,
         over_rival=over,
     )
+
+
+def _as_any_bearing(effect: str, numbers: dict[str, Quantity]) -> frozenset[str]:
+    """The plain friction that bristles are as well which bend as little as those of any bearing."""
+    if effect != BRISTLES:
+        return frozenset()
+    bends_rad = numbers[f"{BRISTLES}.breakaway_angle_rad"].value
+    return frozenset({PLAIN}) if bends_rad < ANY_BEARING_RAD else frozenset()
 
 
 def _of_effect(effect: str, numbers: dict[str, Quantity]) -> dict[str, Quantity]:

@@ -9,7 +9,8 @@ Jarratt, BIT 11 (1971) 168). A load whose friction does not turn it back goes on
 """
 
 ATTEMPTS, HELD = 12, 0.01
-"""Torques that are tried at most, and how near f(w') is to tau, of the first two, at the end."""
+"""Torques that are tried at most; and how near f(w') is to tau at the end, of what is left between
+the two, so that a sharp sign change takes most attempts."""
 
 
 def nearer(  # noqa: PLR0917 - compiled, and compiled calls name nothing

@@ -30,7 +30,7 @@ little; or is most of all; or warms, which what was held out shows."""
 FEWEST_LOST = 1
 ANY_BEARING_RAD = 3e-5
 """Up to which every bearing gives way before it slides: tenths of a micrometre. Plain friction of
-bearings that bend by 2e-5 rad was named by how it begins, three times in five."""
+bearings that bend by 2e-5 rad was named by how it begins alone, four times in five."""
 BESIDE_NOTHING = 1.96
 """Standard errors up to which a further line of an effect is none."""
 

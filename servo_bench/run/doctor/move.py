@@ -87,8 +87,8 @@ def examine(
                 stopped_early = done.stopped_early
             except BenchError as error:
                 ended = error
-            recording = load(out, allow_cut=True) if out.exists() else None
             kept = ended is not None and out.exists()
+            recording = load(out, allow_cut=True) if out.exists() else None
     finally:
         if not kept:
             shutil.rmtree(folder, ignore_errors=True)
